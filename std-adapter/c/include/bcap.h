@@ -267,7 +267,7 @@ enum {
 // The commanded position reaches the destination; the arm may lag behind it.
 #define BCAP_PASS_COMMANDED -1
 
-// The robot passes near the destination, as the controller decides.
+// The robot passes near the destination, at a distance that the controller chooses.
 #define BCAP_PASS_NEAR -2
 
 // A failure.
@@ -358,7 +358,7 @@ typedef struct {
     uint64_t id;
 } bcap_stopper;
 
-// The model of a controller, which decides its provider.
+// The model of a controller, which determines its provider.
 typedef int32_t bcap_model;
 
 // A callback of the log. It gets one of `BCAP_LOG_...` and a text that is valid until it returns. Any thread may call it. It must not
@@ -371,7 +371,7 @@ typedef struct {
     double speed;
     // The maximum acceleration of each joint, per second squared; 0 is 300.
     double acceleration;
-    // How long the program may take for a pose, in ms; 0 is 100. After that the robot stops in an orderly way.
+    // Maximum time that the program may take for a pose, in ms; 0 is 100. After that the robot stops in an orderly way.
     uint32_t pose_timeout_ms;
     // The mode of Slave Mode: 1 paces by the clock of this computer; 0 and 2 by the buffer of the controller.
     int32_t mode;
@@ -383,7 +383,7 @@ typedef struct {
     uint32_t cycles;
     // Poses that were sent late.
     uint32_t late;
-    // How often the controller's buffer was empty while the robot moved.
+    // Number of times that the controller's buffer was empty while the robot moved.
     uint32_t underflows;
 } bcap_stream_stats;
 
@@ -396,7 +396,7 @@ typedef struct {
 // A serial line; its frames have a CRC.
 #define BCAP_LINK_SERIAL 2
 
-// Nothing: move bytes, or wait until the deadline.
+// No event: move bytes, or wait until the deadline.
 #define BCAP_EVENT_NONE 0
 
 // The reply arrived; `status` is its result, and `bcap_client_value` its value.
@@ -439,7 +439,7 @@ bcap_status bcap_client_init(bcap_client *client,
 // Ends the use of a client: each later call returns `BCAP_E_HANDLE`. The buffers belong to the caller again.
 bcap_status bcap_client_deinit(bcap_client *client);
 
-// Prepares for a new connection: forgets the call in flight and all received bytes.
+// Prepares for a new connection: drops the call in flight and all received bytes.
 bcap_status bcap_client_reset(bcap_client *client);
 
 // Sets the time limits of further calls: how long an attempt waits, the number of attempts on a link that loses frames, and how long a
@@ -461,7 +461,7 @@ bcap_status bcap_client_start(bcap_client *client,
                               size_t count,
                               uint64_t now_us);
 
-// Returns the bytes to send: one datagram, or the rest of a frame. `count` is 0 if nothing is to be sent.
+// Returns the bytes to send: one datagram, or the rest of a frame. `count` is 0 if there are no bytes to send.
 bcap_status bcap_client_transmit(bcap_client *client, const uint8_t **bytes, size_t *count);
 
 // Records that the link has taken `count` bytes of `bcap_client_transmit`.
@@ -484,8 +484,8 @@ bcap_status bcap_client_poll(bcap_client *client,
 bcap_status bcap_client_deadline(bcap_client *client,
                                  uint64_t *at_us);
 
-// Returns the value of the reply, EMPTY if it has none. It points into the receive buffer, until `bcap_client_receive_buffer` or
-// `bcap_client_start`.
+// Returns the value of the reply; EMPTY if it has no value. It points into the receive buffer, until
+// `bcap_client_receive_buffer` or `bcap_client_start`.
 bcap_status bcap_client_value(bcap_client *client,
                               bcap_value *value);
 
@@ -493,20 +493,20 @@ bcap_status bcap_client_value(bcap_client *client,
 bcap_status bcap_client_abandon(bcap_client *client);
 
 // Explains a status: writes its name, its meaning and what to do to `buffer`, shortened to `size` bytes with NUL, and returns the
-// length of the whole text, as `snprintf` does. `buffer` may be null to ask for the length.
+// length of the whole text, as `snprintf` does. `buffer` may be null to query the length.
 size_t bcap_status_text(bcap_status status,
                         char *buffer,
                         size_t size);
 
 // Writes the text of the last hosted function that failed on this thread: what was wrong, where, and what to do. It is shortened to
-// `size` bytes with NUL. Returns the length of the whole text, as `snprintf` does; 0 if none failed.
+// `size` bytes with NUL. Returns the length of the whole text, as `snprintf` does; 0 if no function has failed.
 size_t bcap_message(char *buffer,
                     size_t size);
 
 // Takes the arm of the robot, so that this session can move it.
 bcap_status bcap_take_arm(bcap_controller cell);
 
-// Halts a motion that is under way, switches the motor off if this session has switched it on, and gives the arm back.
+// Halts a running motion, switches the motor off if this session has switched it on, and gives the arm back.
 bcap_status bcap_give_arm(bcap_controller cell);
 
 // Switches the motor on or off, and waits until it is.
@@ -521,8 +521,8 @@ bcap_status bcap_move(bcap_controller cell,
                       const bcap_motion *motion_,
                       uint32_t limit_ms);
 
-// Starts a motion, and returns when it has begun. Variables can be read and written until `bcap_wait` or `bcap_halt` ends it. If a
-// motion is under way, this one follows it. `limit_ms` of the first one is the time limit of all.
+// Starts a motion, and returns when it has begun. Variables can be read and written until `bcap_wait` or `bcap_halt` ends it.
+// If a motion is running, this motion follows it. `limit_ms` of the first motion is the time limit of all.
 bcap_status bcap_start(bcap_controller cell,
                        const bcap_motion *motion_,
                        uint32_t limit_ms);
@@ -530,8 +530,8 @@ bcap_status bcap_start(bcap_controller cell,
 // Waits until the motions of `bcap_start` end; the status is the outcome, as for `bcap_move`.
 bcap_status bcap_wait(bcap_controller cell);
 
-// Halts the robot, also without the arm, and waits until it rests. After another status than `BCAP_OK` it may still move. While
-// another thread waits for a motion, use `bcap_stopper_halt`.
+// Halts the robot, even without the arm, and waits until it rests. After any status other than `BCAP_OK` it may still move.
+// While another thread waits for a motion, use `bcap_stopper_halt`.
 bcap_status bcap_halt(bcap_controller cell);
 
 // Recovers the robot after an error: clears the errors, takes the arm and switches the motor on. **The arm of a COBOTTA can move**, so
@@ -560,7 +560,7 @@ bcap_status bcap_connect(const char *address,
                          bcap_model model,
                          bcap_controller *controller);
 
-// Halts a motion, gives the arm back, releases all objects and disconnects. The handle is invalid then, also after a failure.
+// Halts a motion, gives the arm back, releases all objects and disconnects. The handle is then invalid, even after a failure.
 bcap_status bcap_close(bcap_controller cell);
 
 // Reads a variable, such as `I1`, `IO128`, `robot/@SERVO_ON` or `task:Pro1/@STATUS`, as an integer or a truth value.
@@ -640,7 +640,8 @@ bcap_status bcap_stream_start(bcap_controller cell,
                               double *joints);
 
 // Sends the joints of the next cycle, and waits for the cycle after it, 8 ms later. `actual` gets the joints that the controller
-// reports; it may be null. Another status than `BCAP_OK` ends the stream: the robot stops, and does not follow further poses.
+// reports; it may be null. Any status other than `BCAP_OK` ends the stream: the robot stops, and does not follow further
+// poses.
 bcap_status bcap_stream_step(bcap_controller cell,
                              const double *joints,
                              double *actual);
@@ -669,32 +670,33 @@ bcap_status bcap_rac_reply(const char *line,
 // Makes EMPTY, the value of a call without one.
 bcap_value bcap_empty(void);
 
-// Makes an integer, a truth value, a code or a currency amount of any scalar type, such as `BCAP_UI2`. An integer out of the range of
-// its type is refused when it is sent. For `BCAP_R4`, `BCAP_R8` and `BCAP_DATE` it is converted to the nearest number.
+// Creates an integer, a truth value, a code or a currency amount of any scalar type, such as `BCAP_UI2`. An integer out of
+// range of its type is refused when it is sent. For `BCAP_R4`, `BCAP_R8` and `BCAP_DATE` it is converted to the nearest
+// number.
 bcap_value bcap_integer(uint16_t type,
                         int64_t integer);
 
-// Makes an I4: handles, I variables, modes.
+// Creates an I4: handles, I variables, modes.
 bcap_value bcap_i4(int32_t integer);
 
-// Makes a BOOL: IO variables.
+// Creates a BOOL: IO variables.
 bcap_value bcap_bool(bool truth);
 
-// Makes an R4: F variables, speeds.
+// Creates an R4: F variables, speeds.
 bcap_value bcap_r4(float number);
 
-// Makes an R8: D variables.
+// Creates an R8: D variables.
 bcap_value bcap_r8(double number);
 
-// Makes a text of UTF-8 that ends with NUL: names, options, S variables. Null makes a value that is refused.
+// Creates a text of UTF-8 that ends with NUL: names, options, S variables. Null creates a value that is refused.
 bcap_value bcap_text(const char *text);
 
-// Makes an array of numbers, such as `BCAP_R4` from `float` and `BCAP_I4` from `int32_t`. A BOOL is an `int16_t`, 0 or -1.
+// Creates an array of numbers, such as `BCAP_R4` from `float` and `BCAP_I4` from `int32_t`. A BOOL is an `int16_t`, 0 or -1.
 bcap_value bcap_array(uint16_t type,
                       const void *elements,
                       size_t count);
 
-// Makes an array of values of any types (VARIANT), such as the pose of Robot_Move.
+// Creates an array of values of any types (VARIANT), such as the pose of Robot_Move.
 bcap_value bcap_list(const bcap_value *values, size_t count);
 
 // Reads a value as an integer: any number that has no fraction, or a truth value.
@@ -714,7 +716,7 @@ bcap_status bcap_value_numbers(const bcap_value *value,
                                size_t capacity,
                                size_t *count);
 
-// Reads an element of a received array of any type; the first one has the index 0. It points into the same memory.
+// Reads an element of a received array of any type; the first has the index 0. It points into the same memory.
 bcap_status bcap_value_element(const bcap_value *value,
                                size_t index,
                                bcap_value *element);

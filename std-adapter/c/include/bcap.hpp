@@ -102,7 +102,7 @@ inline Motion joint(std::string to) { return {std::move(to), false}; }
 
 using Joints = std::array<double, 8>;
 
-/// A number that is closed once, when its last owner ends. It can be moved, not copied. Assigning the same number closes nothing.
+/// A number that is closed once, when its last owner ends. It can be moved, not copied. Assigning the same number does not close it.
 template <class Handle, bcap_status (*Close)(Handle)> class Owned {
 public:
     explicit Owned(Handle handle = Handle{0}) noexcept : handle_(handle) {}
@@ -129,7 +129,7 @@ private:
 };
 
 /// A stream of Slave Mode: `step` sends the joints of the next cycle. Its end lets the robot come to rest. A new stream can be
-/// assigned to an old one, but `std::optional::emplace` over a live one ends the new one.
+/// assigned to an old one, but `std::optional::emplace` over an open stream ends the new stream.
 class Stream {
 public:
     Stream(bcap_controller cell, const bcap_stream_options &options) {
@@ -159,8 +159,8 @@ private:
     Joints joints_{};
 };
 
-/// The arm: its end halts the robot, switches the motor off and gives the arm back. A new arm can be assigned to an old one, but
-/// `std::optional::emplace` over a live one ends the new one.
+/// The arm: its end halts the robot, switches the motor off and gives the arm back. A new arm can be assigned to an old one,
+/// but `std::optional::emplace` over an open arm ends the new arm.
 class Arm {
 public:
     explicit Arm(bcap_controller cell) noexcept : cell_(cell) {}

@@ -26,7 +26,7 @@ pub const BCAP_LINK_SERIAL: bcap_link = 2;
 
 /// What `bcap_client_poll` reports.
 pub type bcap_event_kind = i32;
-/// Nothing: move bytes, or wait until the deadline.
+/// No event: move bytes, or wait until the deadline.
 pub const BCAP_EVENT_NONE: bcap_event_kind = 0;
 /// The reply arrived; `status` is its result, and `bcap_client_value` its value.
 pub const BCAP_EVENT_REPLIED: bcap_event_kind = 1;
@@ -83,7 +83,8 @@ unsafe fn open<'a>(client: *mut bcap_client) -> Result<&'a mut Inner, Status> {
     if unsafe { client.cast::<usize>().read() } != client.addr() ^ MAGIC {
         return Err(BCAP_E_HANDLE);
     }
-    // SAFETY: the mark says that `bcap_client_init` wrote the content at this address; the caller promises that nothing else uses it
+    // SAFETY: the mark proves that `bcap_client_init` wrote the content at this address; the caller promises that no other code
+    // uses it
     Ok(unsafe { &mut *client.cast::<Inner>() })
 }
 
@@ -132,7 +133,7 @@ pub unsafe extern "C" fn bcap_client_deinit(client: *mut bcap_client) -> bcap_st
     })
 }
 
-/// Prepares for a new connection: forgets the call in flight and all received bytes.
+/// Prepares for a new connection: drops the call in flight and all received bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_reset(client: *mut bcap_client) -> bcap_status {
     guard(|| caller!(open(client)).map(|inner| inner.client.reset()))
@@ -195,7 +196,7 @@ pub unsafe extern "C" fn bcap_client_start(
     })
 }
 
-/// Returns the bytes to send: one datagram, or the rest of a frame. `count` is 0 if nothing is to be sent.
+/// Returns the bytes to send: one datagram, or the rest of a frame. `count` is 0 if there are no bytes to send.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_transmit(
     client: *mut bcap_client,
@@ -275,8 +276,8 @@ pub unsafe extern "C" fn bcap_client_deadline(client: *mut bcap_client, at_us: *
     })
 }
 
-/// Returns the value of the reply, EMPTY if it has none. It points into the receive buffer, until `bcap_client_receive_buffer` or
-/// `bcap_client_start`.
+/// Returns the value of the reply; EMPTY if it has no value. It points into the receive buffer, until
+/// `bcap_client_receive_buffer` or `bcap_client_start`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_value(client: *mut bcap_client, value: *mut bcap_value) -> bcap_status {
     guard(|| {

@@ -2,7 +2,7 @@
 
 use crate::status::{BCAP_OK, Status};
 
-/// Runs the body of a function of the header and returns its status. A panic becomes a status; on a board nothing panics.
+/// Runs the body of a function of the header and returns its status. A panic becomes a status; on a board there are no panics.
 pub(crate) fn guard(body: impl FnOnce() -> Result<(), Status>) -> Status {
     #[cfg(feature = "hosted")]
     let body =

@@ -8,7 +8,7 @@ use crate::memory::{TextBuffer, caller};
 use crate::status::{CODES, bcap_status};
 
 /// Explains a status: writes its name, its meaning and what to do to `buffer`, shortened to `size` bytes with NUL, and returns the
-/// length of the whole text, as `snprintf` does. `buffer` may be null to ask for the length.
+/// length of the whole text, as `snprintf` does. `buffer` may be null to query the length.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_status_text(status: bcap_status, buffer: *mut c_char, size: usize) -> usize {
     let mut out = caller!(TextBuffer::new(buffer, size));

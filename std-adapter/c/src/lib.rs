@@ -31,8 +31,8 @@ mod value;
 #[cfg(test)]
 mod tests;
 
-/// Boards: nothing panics here, and the test of the linked image shows it. If the caller's own Rust code does, a watchdog must reset
-/// the board.
+/// For boards: this library does not panic, as the test of the linked image shows. If other Rust code of the caller panics, a
+/// watchdog must reset the board.
 #[cfg(not(feature = "hosted"))]
 #[panic_handler]
 fn panicked(_: &core::panic::PanicInfo<'_>) -> ! {

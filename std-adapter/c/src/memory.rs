@@ -42,7 +42,7 @@ pub(crate) unsafe fn get<T: Copy>(from: *const T) -> Result<T, Status> {
 ///
 /// # Safety
 ///
-/// `from` is null, or points to `count` initialised elements, which nothing changes during `'a`.
+/// `from` is null, or points to `count` initialised elements, which do not change during `'a`.
 pub(crate) unsafe fn slice<'a, T>(from: *const T, count: usize) -> Result<&'a [T], Status> {
     if count == 0 {
         return Ok(&[]);
@@ -59,14 +59,14 @@ pub(crate) unsafe fn slice<'a, T>(from: *const T, count: usize) -> Result<&'a [T
 ///
 /// # Safety
 ///
-/// `from` is null, or points to a string that nothing changes during `'a`.
+/// `from` is null, or points to a string that does not change during `'a`.
 pub(crate) unsafe fn read_text<'a>(from: *const c_char) -> Result<&'a str, Status> {
     check(from)?;
     // SAFETY: it is not null; the caller promises the rest
     unsafe { CStr::from_ptr(from) }.to_str().map_err(|_| BCAP_E_TEXT)
 }
 
-/// Copies an array to the caller, and returns nothing if it does not fit.
+/// Copies an array to the caller.
 ///
 /// # Safety
 ///
@@ -79,7 +79,8 @@ pub(crate) unsafe fn copy<T: Copy>(from: &[T], to: *mut T, capacity: usize) -> R
         return Ok(());
     }
     check(to)?;
-    // SAFETY: `to` is not null, aligned, and has room; the elements are `Copy`, and a caller's buffer is no memory of this library
+    // SAFETY: `to` is not null, aligned, and has room; the elements are `Copy`, and a caller's buffer is not memory of this
+    // library
     unsafe { to.copy_from(from.as_ptr(), from.len()) };
     Ok(())
 }

@@ -238,8 +238,9 @@ pub extern "C" fn bcap_empty() -> bcap_value {
     bcap_value::EMPTY
 }
 
-/// Creates an integer, a truth value, a code or a currency amount of any scalar type, such as `BCAP_UI2`. An integer out of the range of
-/// its type is refused when it is sent. For `BCAP_R4`, `BCAP_R8` and `BCAP_DATE` it is converted to the nearest number.
+/// Creates an integer, a truth value, a code or a currency amount of any scalar type, such as `BCAP_UI2`. An integer out of
+/// range of its type is refused when it is sent. For `BCAP_R4`, `BCAP_R8` and `BCAP_DATE` it is converted to the nearest
+/// number.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_integer(r#type: u16, integer: i64) -> bcap_value {
     let vartype = VarType(r#type);
@@ -274,7 +275,7 @@ pub extern "C" fn bcap_r8(number: f64) -> bcap_value {
     bcap_value::scalar(VarType::R8, bcap_data { number })
 }
 
-/// Creates a text of UTF-8 that ends with NUL: names, options, S variables. Null makes a value that is refused.
+/// Creates a text of UTF-8 that ends with NUL: names, options, S variables. Null creates a value that is refused.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_text(text: *const c_char) -> bcap_value {
     match caller!(read_text(text)) {
@@ -343,7 +344,7 @@ pub unsafe extern "C" fn bcap_value_numbers(
     })
 }
 
-/// Reads an element of a received array of any type; the first one has the index 0. It points into the same memory.
+/// Reads an element of a received array of any type; the first has the index 0. It points into the same memory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_value_element(
     value: *const bcap_value,

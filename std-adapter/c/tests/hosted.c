@@ -167,7 +167,7 @@ static void motions(void) {
     OK(bcap_joints(cell, joints));
     CHECK(fabs(joints[0]) < 0.01 && fabs(joints[2] - 90) < 0.01);
 
-    /* fields that are out of range move nothing */
+    /* fields that are out of range cause no motion */
     bcap_motion wrong = near;
     wrong.speed_percent = 101;
     STATUS(BCAP_E_RANGE, bcap_move(cell, &wrong, 1000));
@@ -425,7 +425,7 @@ static void *read_on(void *shared) {
     return NULL;
 }
 
-/* The end of a program that only reads, while another one moves the robot. */
+/* The end of a program that only reads, while another program moves the robot. */
 static void exit_as_reader(void) {
     bcap_controller cell = connected();
     pthread_t threads[4];
@@ -540,7 +540,7 @@ static void exits(void) {
     left();
     if (!is_slow) /* otherwise the signal probably interrupts code that `exit` needs */
         ended(started(exit_in_handler));
-    /* the end of a forked process leaves the motion of its parent under way */
+    /* the end of a forked process does not stop the motion of its parent */
     inherited = prepared();
     OK(bcap_stopper_open(inherited, &inherited_stopper));
     OK(bcap_start(inherited, &far, 60000));

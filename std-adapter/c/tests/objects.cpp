@@ -45,7 +45,7 @@ static bool steps(bcap::Stream &stream, const bcap::Joints &joints) {
     }
 }
 
-// A new stream goes on when it replaces one that a pose beyond the limits has ended.
+// A new stream continues when it replaces a stream that a pose beyond the limits has ended.
 static void streams(bcap::Controller &cell) {
     bcap_stream_options options{};
     options.mode = 2;

@@ -114,7 +114,7 @@ static void calls(void) {
     STATUS(BCAP_E_CLOSED, bcap_client_start(&client, BCAP_FN_VARIABLE_GET_VALUE, &handle, 1, 0));
     OK(bcap_client_reset(&client));
 
-    /* over UDP a call is sent again with another serial */
+    /* over UDP a retransmission has another serial */
     OK(bcap_client_init(&client, BCAP_LINK_DATAGRAM, tx, sizeof tx, rx, sizeof rx));
     OK(bcap_client_set_serial(&client, 500));
     OK(bcap_client_start(&client, BCAP_FN_VARIABLE_GET_VALUE, &handle, 1, 0));
@@ -147,7 +147,7 @@ static void values(void) {
     size_t count;
     char text[16];
 
-    /* BSTR "Aé", with a shorter buffer, too */
+    /* BSTR "Aé", also with a shorter buffer */
     const uint8_t string[] = {8, 0, 1, 0, 0, 0, 4, 0, 0, 0, 'A', 0, 0xe9, 0};
     value = exchange(&client, 1, string, sizeof string);
     CHECK(value.type == BCAP_BSTR);
@@ -160,7 +160,7 @@ static void values(void) {
     STATUS(BCAP_E_TYPE, bcap_value_integer(&value, &integer));
     STATUS(BCAP_E_TYPE, bcap_value_element(&value, 0, &element));
 
-    /* an array of R4, and the same one again as an argument */
+    /* an array of R4, and the same array again as an argument */
     const uint8_t floats[] = {4, 32, 2, 0, 0, 0, 0, 0, 0x80, 0x3f, 0, 0, 0, 0xc0};
     value = exchange(&client, 2, floats, sizeof floats);
     CHECK(value.type == (BCAP_ARRAY | BCAP_R4) && value.count == 2);

@@ -64,7 +64,7 @@ fn tasks() -> Vec<CompletionCandidate> {
     names().iter().filter_map(|name| name.strip_prefix("task:")).map(CompletionCandidate::new).collect()
 }
 
-/// Returns the names that the controller of the line lists; none if it does not answer in time.
+/// Returns the names that the controller of the line lists; no names if it does not answer in time.
 fn names() -> Vec<String> {
     let link = || {
         // the words of the line follow --
@@ -72,7 +72,7 @@ fn names() -> Vec<String> {
         let link =
             LinkArgs::from_arg_matches(&Cli::command().ignore_errors(true).try_get_matches_from(words).ok()?).ok()?;
         let link = link.with_profile().ok()?;
-        // at an address of its own: a Tab changes no profile
+        // with the address instead of the profile: a Tab must not change a profile
         let target = link.target().ok()?.to_string();
         Some(link.at(&target).within(LIMIT))
     };

@@ -9,8 +9,8 @@
 //! | 4    | the controller did not answer in time                                        |
 //! | 130  | interrupted by a signal                                                      |
 //!
-//! With `--json` a failure is also a line of the output: `{"error":...}`, with `offset` for malformed input, `code` and
-//! `hresult` for a refusal, `name` for the refused variable, and `hint`.
+//! With `--json` a failure is also written to the output as a line: `{"error":...}`, with `offset` for malformed input, `code`
+//! and `hresult` for a refusal, `name` for the refused variable, and `hint`.
 
 use std::borrow::Cow;
 use std::io;

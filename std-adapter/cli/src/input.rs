@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 
-/// How often a command that waits for its next line looks for a signal.
+/// Interval at which a command that waits for its next line checks for a signal.
 const LOOK: Duration = Duration::from_millis(20);
 
 /// Lines that may not have arrived yet.

@@ -26,13 +26,13 @@ use bcap_terminal::signal::{self, Signal};
 
 use crate::failure::Failure;
 
-/// How long a motion that begins just after a halt may run until the next halt.
+/// Maximum time that a motion that begins just after a halt runs until the next halt.
 const AGAIN: Duration = Duration::from_millis(50);
 
-/// The time after a signal until the user is told what the command waits for.
+/// Delay after a signal until the command prints what it waits for.
 const REMINDER: Duration = Duration::from_millis(300);
 
-/// How many signals end a command whose motion does not end.
+/// Number of further signals that end a command whose motion does not end.
 const MAX_SIGNALS: u32 = 5;
 
 /// The exit code of an interrupted command.
@@ -41,7 +41,7 @@ const EXIT_CODE: i32 = 130;
 /// Halts the robot over a separate session.
 pub(crate) type Halt = Box<dyn FnMut() -> Result<(), Failure> + Send>;
 
-/// The activity of the command, which decides the reaction to a signal. A later state outranks an earlier one.
+/// The activity of the command, which determines the reaction to a signal. A later state outranks an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum State {
     /// No session has been opened.
@@ -77,7 +77,7 @@ struct SignalState {
     count: u32,
     /// Whether the last halt since the beginning of the line failed.
     halt_failed: bool,
-    /// Whether the process goes on after the command: it is the shell, or runs a script.
+    /// Whether the process continues after the command: it is the shell, or runs a script.
     goes_on: bool,
 }
 
@@ -134,8 +134,8 @@ impl Interrupt {
         self.0.status.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Handles a signal, and those that arrive meanwhile. Returns whether the last one halted a motion: then it is not for the
-    /// prompt, which may have begun since.
+    /// Handles a signal, and further signals that arrive during that. Returns whether the last signal halted a motion. If so,
+    /// it does not concern the prompt, which may have begun since.
     fn signalled(&self, signal: Signal, more: &Receiver<Signal>) -> bool {
         match (self.state(), signal) {
             (State::Idle, Signal::Suspend) => {
@@ -158,7 +158,8 @@ impl Interrupt {
         }
     }
 
-    /// Waits for the end of a command that is between two calls. A second signal ends the process at once, unless it goes on.
+    /// Waits for the end of a command that is between two calls. A second signal ends the process immediately, unless the
+    /// process continues after the command.
     fn remind(&self, more: &Receiver<Signal>) -> bool {
         if self.status().goes_on {
             return false;
@@ -192,7 +193,7 @@ impl Interrupt {
             }
             was_answered = true;
             if let Ok(signal) = more.recv_timeout(AGAIN) {
-                // for the next line, if the one that was interrupted has just ended
+                // for the next line, if the interrupted line has just ended
                 self.mark(signal);
                 again += 1;
                 was_answered = signal == Signal::End;
@@ -227,7 +228,8 @@ impl Interrupt {
         matches!(self.state(), State::Moving | State::Restoring)
     }
 
-    /// Sets that the process goes on after the command, so that no signal ends it at once: its session must be closed.
+    /// Sets that the process continues after the command. No signal then ends it immediately, because its session must be
+    /// closed.
     pub(crate) fn set_going_on(&self) {
         self.status().goes_on = true;
     }
@@ -260,10 +262,10 @@ impl Interrupt {
         self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner).is_some()
     }
 
-    /// Returns the failure of a command that a signal interrupted while its session had the arm; `moved` tells whether the robot moved
-    /// until the arm was given back.
+    /// Returns the failure of a command that a signal interrupted while its session had the arm; `moved` is whether the robot
+    /// moved until the arm was given back.
     pub(crate) fn failure(&self, moved: bool) -> Failure {
-        // this waits for a halt that is under way
+        // this waits for a halt in progress
         let was_halted = self.can_halt() && !self.status().halt_failed || moved;
         let halted = if was_halted { "the robot was halted" } else { "the motion was not halted: it has ended" };
         Failure::Interrupted(format!("interrupted: {halted}, and the arm was given back"))
@@ -278,7 +280,7 @@ impl Interrupt {
         Ok(())
     }
 
-    /// Begins a line: forgets earlier signals, except one that ends the command.
+    /// Begins a line: clears earlier signals, except a signal that ends the command.
     pub(crate) fn begin(&self) {
         let mut status = self.status();
         status.received = status.received.filter(|signal| *signal == Signal::End);
@@ -373,7 +375,7 @@ mod tests {
             let interrupt = halting(|| ());
             assert!(interrupt.signalled(signal, &more));
             assert_eq!((interrupt.received(), interrupt.is_ended()), (Some(signal), false));
-            // nothing moves now
+            // the motion has ended
             assert!(!interrupt.signalled(signal, &more));
         }
     }

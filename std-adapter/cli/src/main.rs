@@ -44,7 +44,7 @@ fn main() -> ExitCode {
         Err(failure) if failure.is_closed_output() && cli.command.only_prints() => ExitCode::SUCCESS,
         Err(failure) => failure.report(cli.json),
     };
-    // nothing is left on the controller, and the message is on the screen
+    // the session on the controller has ended, and the message is on the screen
     if Interrupt::of_process().is_some_and(|interrupt| interrupt.suspend_if_requested()) {
         output::note("Ctrl-Z had ended the command; start it again");
     }

@@ -1,4 +1,4 @@
-//! The standard output. Every line is escaped, because part of its text may come from outside.
+//! The standard output. Every line is escaped, because part of its text may be untrusted.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -36,7 +36,7 @@ pub(crate) fn print_result(json: bool, object: &impl Serialize, line: &str) -> i
     if json { print_json(&serde_json::to_string(object).unwrap_or_default()) } else { print_line(line) }
 }
 
-/// Prints text as it is, with an end of line: nothing of it may come from outside.
+/// Prints text as it is, with an end of line. It must not contain untrusted text.
 pub(crate) fn print_raw(text: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
     out.write_all(text.as_bytes())?;
@@ -47,7 +47,7 @@ pub(crate) fn print_raw(text: &str) -> io::Result<()> {
 /// The maximum number of lines that wait for the output.
 const WAITING: usize = 4096;
 
-/// The longest time for the last lines.
+/// Maximum time for the last lines.
 const FINISH: Duration = Duration::from_secs(2);
 
 /// A thread that prints lines, for a server that must not wait for a terminal that does not read.
@@ -89,7 +89,7 @@ impl Printer {
 }
 
 impl PrintQueue {
-    /// Queues a line, after the number of those that were left out before it.
+    /// Queues a line, preceded by the number of lines that were left out.
     pub(crate) fn put(&self, line: String) {
         let count = self.left_out.swap(0, Ordering::Relaxed);
         let loss = if self.json {

@@ -179,14 +179,14 @@ fn the_plan_is_shown_and_io_needs_an_option() {
     let shown = "I5: 7 -> 0\nnote: 1 IO differ; they switch outputs and are written only with --io\n";
     let run = cell.robot.run(&["restore", "--dry-run", &dir]);
     assert_eq!((run.out.as_str(), run.code), (shown, 0), "{run:?}");
-    // without a terminal nothing is asked, and nothing written
+    // without a terminal there is no question, and nothing is written
     let run = cell.robot.run(&["restore", &dir]);
     assert_eq!((run.out.as_str(), run.code), (shown, 2), "{run:?}");
     assert!(run.err.contains("give --yes"), "{run:?}");
     assert_eq!((cell.robot.i(5), Path::new(&dir).join("restore.jsonl").exists()), (7, false));
     let run = cell.robot.run(&["restore", "--yes", &dir]);
     assert_eq!((run.code, cell.robot.i(5)), (0, 0), "{run:?}");
-    // a virtual one is not asked about
+    // a virtual controller needs no confirmation
     let virtual_cell = Cell::start();
     let dir_of_virtual = virtual_cell.dump("a");
     virtual_cell.robot.run(&["put", "I5=7"]);
@@ -319,7 +319,7 @@ fn a_killed_dump_goes_on_where_it_was() {
     let run = other.run(&["dump", &dir]);
     assert!(run.code == 2 && run.err.contains("interrupted dump of another controller"), "{run:?}");
 
-    // a temporary file is no part of the backup
+    // a temporary file is not part of the backup
     fs::write(Path::new(&dir).join(".bcap-Xy12"), "half").unwrap();
     // a line that was cut off is read again
     fs::write(&part, fs::read_to_string(&part).unwrap().trim_end()).unwrap();
@@ -342,7 +342,7 @@ fn a_killed_dump_goes_on_where_it_was() {
 
 #[test]
 fn a_write_without_a_reply_may_have_been_made() {
-    // so few variables that the plan takes no time
+    // few variables, so that the plan takes no time
     let sizes = Sizes { i: 10, f: 1, d: 1, v: 1, p: 1, j: 1, t: 1, s: 1, io: 32 };
     let config = || Config { sizes, ..Config::new(Profile::Rc8) };
     let cell = Cell::with(config());
@@ -353,7 +353,7 @@ fn a_write_without_a_reply_may_have_been_made() {
     }
     let (served, _stalled) = stalling(controller, FunctionId::VARIABLE_PUT_VALUE, 1);
     let address = format!("tcp:{}", served.tcp);
-    // the backup has files and this controller has none, so they are a part of the plan
+    // the backup has files that this controller does not have, so they are part of the plan
     let run = bcap(&["restore", "--yes", &dir, "--timeout", "8000", "--robot", &address]);
     assert_eq!(run.code, 4, "{run:?}");
     assert!(run.out.contains("1 of 6 are written, I1 may be written, 4 are not written"), "{run:?}");
@@ -429,7 +429,7 @@ fn ten_thousand_variables_are_complete_over_both_links() {
     let mut dumps = Vec::new();
     for (name, address) in [("tcp", &cell.robot.tcp), ("udp", &cell.robot.udp)] {
         let (dir, began) = (cell.path(name), Instant::now());
-        // the time limit is that of each answer: the whole takes its time on a busy machine
+        // a time limit for each answer, not for the whole dump, which takes long on a busy machine
         let run = bcap(&["dump", &dir, "--attempt-timeout", "6s", "--robot", address]);
         println!("10,000 variables over {name}: {} ms", began.elapsed().as_millis());
         assert_eq!(run.code, 0, "{run:?}");
@@ -470,7 +470,7 @@ fn a_controller_without_put_id_is_read_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path().join("a").to_str().unwrap().to_owned();
     let run = bcap(&["dump", &dir, "--robot", &fake.address]);
-    // the other kinds are refused, which the exit code tells
+    // the other kinds are refused, as the exit code shows
     assert!(run.code == 1 && run.err.contains("the controller refused 8 parts"), "{run:?}");
     let text = fs::read_to_string(Path::new(&dir).join("variables/I.jsonl")).unwrap();
     let expected: String = (0..20).map(|n| format!("{{\"name\":\"I{n}\",\"vt\":3,\"v\":{}}}\n", n * 11)).collect();

@@ -116,7 +116,7 @@ impl Board {
         bcap(&[&["board", command, &self.host.name().unwrap()], arguments].concat())
     }
 
-    /// Ends the board, and returns the action that it was asked for.
+    /// Ends the board, and returns the requested action.
     fn end(mut self) -> Option<Action> {
         self.board.take().unwrap().join().unwrap()
     }

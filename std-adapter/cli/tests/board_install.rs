@@ -145,7 +145,7 @@ fn a_boot_loader_and_an_image_become_one_binary() {
     assert!(run.code == 2 && run.err.contains("needs its boot loader as well"), "{run:?}");
 }
 
-/// A board that answers one request, after datagrams that are no answers.
+/// A board that answers one request, after datagrams that are not answers.
 fn board(found: Found<'static>) -> String {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = socket.local_addr().unwrap().to_string();

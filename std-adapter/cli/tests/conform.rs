@@ -52,7 +52,7 @@ fn nothing_that_listens_is_no_failure_of_the_cases() {
 
 #[test]
 fn a_refused_variable_is_a_failure_with_what_was_sent_and_what_came() {
-    // a device of another provider: it answers, and it is no RC9
+    // a device of another provider: it answers, but it is not an RC9
     let robot = Virtual::start(&[]);
     let wrong = ["conform", "--case", "variables/type-of-i", "--provider", "CaoProv.NoSuch"];
     let run = robot.run(&wrong);

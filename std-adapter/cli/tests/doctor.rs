@@ -117,7 +117,7 @@ fn a_ready_controller_passes_and_its_state_is_unchanged() {
 #[test]
 fn an_unreachable_link_is_reported() {
     let sim = Sim::ready(&[]);
-    // a free port could become that of another test
+    // another test could take a free port
     let closed = "1";
     let run = sim.doctor(&["--json", "--tcp-port", closed]);
     assert_eq!((failed(&run).iter().map(|(check, _)| check.as_str()).collect::<Vec<_>>(), run.code), (vec!["tcp"], 3));

@@ -1,5 +1,5 @@
 //! A short run of `just endings` and `just pick-and-place`: random trials of how programs of the library and the command end
-//! while they move a robot. The process of the test is also the program of the library.
+//! while they move a robot. The test process also runs as the program of the library.
 
 use std::process::ExitCode;
 
@@ -20,7 +20,7 @@ fn main() -> ExitCode {
         Trial::test("nothing_is_left_behind_and_every_report_is_true", trials),
         Trial::test("pick_and_place_arrives_every_time", move || judge(endings::pick_and_place(1, 2))),
     ];
-    // one after the other: both print a table, and the second makes the machine busy
+    // in sequence: both print a table, and the second makes the machine busy
     let arguments = Arguments { test_threads: Some(1), ..Arguments::from_args() };
     libtest_mimic::run(&arguments, tests).exit_code()
 }

@@ -1,4 +1,4 @@
-//! `bcap fuzz`: finds planted bugs, finds none in the virtual controller, and sends nothing that moves.
+//! `bcap fuzz`: finds planted bugs, finds no bugs in the virtual controller, and sends no calls that move the robot.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -48,7 +48,7 @@ fn without_a_confirmation_nothing_is_sent() {
     assert!(run.err.contains(MINE), "{run:?}");
 }
 
-/// Asserts that no function does more than read; Execute does so with the commands of the gate only.
+/// Asserts that all functions only read, except Execute if the gate permits its commands.
 fn assert_gated(calls: &[FunctionId], may_execute: bool) {
     let is_gated = |function: &FunctionId| {
         let name = function.to_string();
@@ -253,7 +253,7 @@ fn planted_bugs_are_found() {
         (Bug::CutDatagramHangs, "hang"),
         (Bug::RetransmissionIsExecuted, "wrong-reply"),
     ] {
-        // a busy machine must not look like a device that hangs, except where the fuzzer waits for bytes that do not come
+        // a busy machine must not look like a device that hangs, except where the fuzzer waits for bytes that do not arrive
         let waits = kind == "hang" || bug == Bug::LengthIsOffByOne;
         let timeout = if waits { "1500" } else { "20000" };
         let found = first_finding(bug, &["--runs", "400", "--duration", "10min", "--wait", "5s", "--timeout", timeout]);

@@ -273,7 +273,7 @@ fn a_flood_of_wrong_lines_is_counted_in_the_log() {
     assert_eq!(records.last().unwrap()["refused"], LINES, "the totals count all of them");
 }
 
-/// Writes change the robot, so each successful write is in the log, also during a flood of other requests.
+/// Writes change the robot, so each successful write is in the log, even during a flood of other requests.
 #[test]
 #[cfg(unix)]
 fn every_successful_write_is_logged() {

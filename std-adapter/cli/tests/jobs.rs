@@ -1,7 +1,7 @@
 //! The jobs of a technician, each with the command that does it and what it shows at the first try.
 //!
-//! `cargo test -p bcap-cli jobs:: -- --nocapture` prints the table. A job with steps of a person on a screen has a test of its own,
-//! which the table in `docs/tester.md` names: jog by keys, six errors at 80x24, a raw session line by line.
+//! `cargo test -p bcap-cli jobs:: -- --nocapture` prints the table. A job with steps of a person on a screen has a separate
+//! test, named in the table of `docs/tester.md`: jog by keys, six errors at 80x24, a raw session line by line.
 
 use std::fmt::Write as _;
 

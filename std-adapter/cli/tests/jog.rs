@@ -208,7 +208,7 @@ fn a_key_makes_a_step_and_a_repeated_key_repeats_it() {
         terminal.keys(&["Right"]);
         joint = numbers(&robot, "robot/@CURRENT_ANGLE")[1];
     }
-    // the last keys may still begin a step: a key after them that has an effect comes after that
+    // the last keys may still begin a step; when a later key has an effect, that step has ended
     terminal.wait_until("a step of 0.1", |screen| {
         terminal.keys(&["["]);
         screen.contains("step 0.1 mm or degrees") && !screen.contains("Esc HALTS")

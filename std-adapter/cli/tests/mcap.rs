@@ -83,7 +83,7 @@ fn only_changes_are_written_and_a_signal_completes_the_file() {
     while !has_read(",0\n") {}
     assert_eq!(robot.run(&["put", "I1", "7"]).code, 0);
     while !has_read(",7\n") {}
-    // it is in the file a second later, although nothing changes any more
+    // it is in the file a second later, although the value does not change again
     let is_written = || fs::read(&path).unwrap().windows(11).any(|bytes| bytes == br#"{"value":7}"#);
     for _ in 0..300 {
         if is_written() {

@@ -46,7 +46,7 @@ fn a_person_watches_writes_halts_and_quits() {
         });
         assert!(put.wait_with_output().unwrap().status.success());
         terminal.wait_for(" I4(5) = Variable_GetValue(");
-        // a value is asked for before it is written
+        // a value is confirmed before it is written
         terminal.keys(&["Down", "w"]);
         terminal.wait_for("write NAME=VALUE: I2=_");
         terminal.text("3,5");
@@ -182,7 +182,7 @@ fn a_lost_connection_is_shown_and_opened_again() {
     let mut again = sim_at(&address);
     let screen = terminal.wait_for("RC8 auto ok");
     assert!(!screen.contains("NOT CONNECTED"), "{screen}");
-    // the connection that halts is opened again, too
+    // the halting connection is also opened again
     terminal.keys(&["h"]);
     terminal.wait_for("the robot rests");
     terminal.keys(&["q"]);

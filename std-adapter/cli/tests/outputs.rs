@@ -39,7 +39,7 @@ fn a_closed_output_does_not_hide_a_finding() {
     assert_eq!(unread(&robot, &["diff", &backup]).code, 1);
     let run = unread(&robot, &["get", "X1", "I1"]);
     assert!(run.code == 1 && run.err.contains("1 of 2 were refused"), "{run:?}");
-    // the first line is the one that fails; nothing listens on that port
+    // the first line fails, because nothing listens on that port
     let run = unread(&robot, &["doctor", "--tcp-port", "1"]);
     assert!(run.code == 3 && run.err.contains("cannot connect to"), "{run:?}");
 }
@@ -81,7 +81,7 @@ fn a_signal_at_the_prompt_completes_the_recording_and_the_history() {
     // stays open, because the end of the input would end the shell too
     let mut lines = shell.stdin.take().unwrap();
     lines.write_all(b"get I1\n").unwrap();
-    // each prompt asks for messages: the one before the line, and the one after it
+    // each prompt requests messages: one prompt before the line, one after it
     let prompts = || fake.seen().iter().filter(|call| call.starts_with("ControllerGetMessage(")).count();
     let end = Instant::now() + Duration::from_secs(30);
     while prompts() < 2 {

@@ -1,4 +1,4 @@
-//! `bcap dump`, `bcap diff` and `bcap restore` with controllers that refuse a part, or change meanwhile.
+//! `bcap dump`, `bcap diff` and `bcap restore` with controllers that refuse a part, or change during the command.
 
 use std::fs;
 use std::path::PathBuf;
@@ -193,7 +193,7 @@ fn without_put_id(values: fn(i32) -> i32) -> Fake {
 
 #[test]
 fn a_put_id_without_effect_leaves_no_wrong_value() {
-    // the samples are as `I*` says, or nothing but one sample is not
+    // the samples agree with `I*`, or only one sample differs
     let all: [fn(i32) -> i32; 5] = [
         |n| if (40..60).contains(&n) { n } else { 0 },
         |n| i32::from(n == 99),
@@ -253,7 +253,7 @@ fn a_replaced_file_is_saved() {
         assert!(saved.starts_with("replaced/") && saved.ends_with("/Sub/Pro3.pcs"), "{saved}");
         assert_eq!(cell.read(&format!("a/{saved}")), text);
     }
-    // the saved files are no part of the backup
+    // the saved files are not part of the backup
     assert_eq!(cell.run(&["diff", &dir]).code, 0);
 }
 

@@ -300,7 +300,7 @@ fn executing(request: &[u8]) -> Vec<u8> {
     FrameWriter::new(&mut buffer).unwrap().finish(frame.serial, 0, HResult::S_EXECUTING.0).unwrap().to_vec()
 }
 
-/// A server that only sends S_EXECUTING, `at_a_time` at once; returns its addresses for TCP and UDP.
+/// Starts a server that only sends S_EXECUTING, `at_a_time` replies at once; returns its addresses for TCP and UDP.
 fn keeps_alive(at_a_time: usize) -> [String; 2] {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();

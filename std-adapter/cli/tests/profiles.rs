@@ -175,7 +175,7 @@ fn the_name_of_a_model_is_a_provider_and_a_profile_remembers_it() {
     assert_eq!(fs::read_to_string(&home.file).unwrap(), text.replace("[profile.cell]\n", line));
     let run = home.run(&["get", "I1", "--profile", "cell"], &[]);
     assert_eq!((run.out.as_str(), run.err.as_str()), ("I1 = 0\n", ""));
-    // a profile that is written in another way stays as it is, and so does that of another address
+    // a profile that is written in another way stays unchanged, and so does the profile of another address
     let text = format!("profile.cell = {{ address = \"{}\" }}\n", rc9.tcp);
     let home = Home::with(&text);
     let run = home.run(&["get", "I1", "--profile", "cell"], &[]);

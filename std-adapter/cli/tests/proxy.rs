@@ -71,7 +71,7 @@ fn tshark_links_all_requests_of_the_file_of_a_proxy() {
         "bcap.unlinked || rac.unlinked || bcap.again",
         "bcap.request && !bcap.response_in",
         "rac.request && !rac.response_in",
-        // the sequence numbers are right: nothing is lost, repeated, or acknowledged before it is sent
+        // the sequence numbers are right: no byte is lost, repeated, or acknowledged before it is sent
         "tcp.analysis.flags",
         "ip.checksum.status == 0 || tcp.checksum.status == 0 || udp.checksum.status == 0",
     ] {
@@ -266,7 +266,7 @@ fn a_proxy_over_udp_drops_datagrams_of_more_clients_than_it_serves() {
     let mut buffer = [0; 16];
     let mut sources = HashSet::new();
     let clients: Vec<_> = (0..=CLIENTS).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
-    // one after another, so that none is lost in the buffer of a socket; the last one is not served
+    // in sequence, so that no datagram is lost in the buffer of a socket; the last client is not served
     for client in &clients[..CLIENTS] {
         client.send_to(b"x", &proxy.udp).unwrap();
         sources.insert(robot.recv_from(&mut buffer).unwrap().1);
@@ -277,7 +277,7 @@ fn a_proxy_over_udp_drops_datagrams_of_more_clients_than_it_serves() {
     clients[0].send_to(b"again", &proxy.udp).unwrap();
     let (count, from) = robot.recv_from(&mut buffer).unwrap();
     assert_eq!((&buffer[..count], sources.contains(&from)), (&b"again"[..], true));
-    // a client that stops its service frees its slot at once, and its socket after the reply
+    // a client that stops its service frees its slot immediately, and its socket after the reply
     clients[1].send_to(&STOP, &proxy.udp).unwrap();
     let (_, stopped) = robot.recv_from(&mut buffer).unwrap();
     clients[CLIENTS].send_to(b"spare", &proxy.udp).unwrap();
@@ -317,7 +317,7 @@ fn a_proxy_over_tcp_gives_a_new_connection_the_slot_of_the_oldest_idle_one() {
         (0..CLIENTS).map(|_| (TcpStream::connect(&proxy.bcap).unwrap(), robot.accept().unwrap().0)).collect();
     let mut spare = TcpStream::connect(&proxy.bcap).unwrap();
     assert_eq!(spare.read(&mut [0; 16]).unwrap(), 0, "the proxy closes it: all others were active in the last 10 s");
-    // the first one waits for a reply, and all but the second one have sent a part of a request
+    // the first client waits for a reply, and all clients but the second have sent a part of a request
     for (number, (client, server)) in connections.iter_mut().enumerate() {
         let request: &[u8] = if number == 0 { &STOP } else { b"x" };
         if number != 1 {

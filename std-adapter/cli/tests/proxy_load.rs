@@ -41,7 +41,7 @@ fn a_hundred_connections_are_forwarded_and_recorded() {
         for (client, index) in clients.iter_mut().zip(0..) {
             client.write(&format!("I{index}"), 1000 * round + index).unwrap();
         }
-        // each client reads what the next one has written
+        // each client reads the variable that the next client has written
         for (client, index) in clients.iter_mut().zip(0..) {
             let next = (index + 1) % 100;
             assert_eq!(client.read::<i32>(&format!("I{next}")).unwrap(), 1000 * round + next);

@@ -1,4 +1,4 @@
-//! `bcap recover` and `bcap move --prepare`: the plan, the steps, what is refused, and what every ending leaves.
+//! `bcap recover` and `bcap move --prepare`: the plan, the steps, the refusals, and the state after every ending.
 
 use std::process::Stdio;
 use std::thread;
@@ -73,7 +73,7 @@ fn the_errors_the_plan_and_each_step_are_shown() {
 
 #[test]
 fn errors_are_cleared_only_after_an_answer() {
-    // also of a virtual controller
+    // even on a virtual controller
     let faulty = failed(Profile::Rc8);
     let run = recover(&faulty, &[]);
     assert!(run.code == 2 && run.err.contains("give --yes"), "{run:?}");
@@ -82,7 +82,7 @@ fn errors_are_cleared_only_after_an_answer() {
     let run = recover(&real, &[]);
     assert!(run.code == 2 && run.err.contains("give --yes"), "{run:?}");
     assert_eq!(state(&real), (false, false, 0));
-    // without errors a virtual one is not asked about
+    // without errors, a virtual controller needs no confirmation
     let run = recover(&robot(Profile::Rc8), &[]);
     assert!(run.code == 0 && run.out.starts_with("plan     TakeArm, Motor\n"), "{run:?}");
     let run = recover(&faulty, &["--yes", "--speed", "101"]);
@@ -175,7 +175,7 @@ fn a_signal_switches_the_motor_off_and_gives_the_arm_back() {
     }
 }
 
-/// The signal comes while Motor is under way, and the controller refuses to switch the motor off.
+/// The signal arrives during the Motor command, and the controller refuses to switch the motor off.
 #[test]
 fn a_motor_that_an_interrupted_recovery_leaves_on_is_not_called_off() {
     let robot = robot(Profile::Rc8);

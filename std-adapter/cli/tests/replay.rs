@@ -328,7 +328,7 @@ fn replay_motion(file: &Path, robot: &str) -> Run {
     bcap(&[&["replay", file.to_str().unwrap(), "--fast", "--robot", robot], &allowed[..]].concat())
 }
 
-/// Relays connections to a robot. Nothing passes over the first one after the request that contains these bytes.
+/// Relays connections to a robot. The first connection blocks after the request that contains these bytes.
 fn relay_until(robot: SocketAddr, last: &'static [u8]) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -365,7 +365,7 @@ fn a_motion_whose_connection_is_silent_is_halted_over_another_one() {
     let relay = relay_until(robot.served.tcp, b"N\0E\0X\0T\0");
     let run = replay_motion(&motion("silent.pcap"), &relay.to_string());
     assert_eq!(run.code, 1, "{run:?}");
-    // the controller may not have noticed the loss when the new connection looks
+    // the controller may not have detected the loss when the new connection checks it
     let seen = "over a new one the robot was halted, the motor was switched off, and the arm was not seen to be free";
     assert!(run.err.contains("IT IS UNKNOWN whether") && run.err.contains(seen), "{run:?}");
     let end = Instant::now() + Duration::from_secs(60);

@@ -76,7 +76,7 @@ fn the_monitor() {
             assert_eq!(robot.run(&["put", "F1", value]).code, 0);
             terminal.wait_for(&format!("F1    = {value} "));
         }
-        // one after the other, so that the packets are in this order
+        // in sequence, so that the packets are in this order
         assert_eq!(robot.run(&["put", "I2", "1200"]).code, 0);
         terminal.wait_for("= 1200");
         assert_eq!(robot.run(&["put", "S1", "gripper 2"]).code, 0);

@@ -140,7 +140,7 @@ fn ctrl_c_during_a_motion_over_a_line_says_that_the_robot_was_halted() {
     let (begun, waits) = std::sync::mpsc::channel();
     sim.handler().set(move |request| {
         if request.value(1).as_bstr().is_some_and(|name| name == "I2") {
-            // without a receiver the test has seen it
+            // without a receiver the test has already received it
             let _ = begun.send(());
         }
         None
@@ -173,7 +173,7 @@ fn the_serial_options_are_checked() {
     }
 }
 
-/// A slow controller. Its cycle is 40 ms, halfway to the 80 ms after which `bcap slave` takes a reply for lost.
+/// A slow controller. Its cycle is 40 ms, half of the 80 ms after which `bcap slave` treats a reply as lost.
 fn slow() -> Slowed<5> {
     Slowed(Controller::new(Config::new(Profile::Rc8)))
 }

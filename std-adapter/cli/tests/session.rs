@@ -229,7 +229,7 @@ fn names_are_listed_in_the_form_of_the_other_commands() {
 
 #[test]
 fn an_unreachable_controller_exits_with_3() {
-    // a free port could become that of another test
+    // another test could take a free port
     let closed = "127.0.0.1:1";
     let run = bcap(&["get", "I1", "--robot", &format!("tcp:{closed}")]);
     assert_eq!((run.out.as_str(), run.code), ("", 3));

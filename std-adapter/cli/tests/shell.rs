@@ -130,7 +130,7 @@ fn ctrl_c_halts_a_motion_and_gives_the_arm_back() {
     let arm = "exec robot TakeArm 0 1\nexec robot Motor 1 0\n";
     let long_call = format!("{arm}call Robot_Move robot 1 '8,@E J(-90, 45, 90, 0, 45, 0)' 8,SPEED=1\n");
     let earlier = format!("{arm}{}sleep 1min\n", slow.replace("--speed", "--no-wait --speed"));
-    // the same after a line whose session handles signals, too
+    // the same after a line whose session also handles signals
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     assert_eq!(robot.run(&["get", "I1", "--write", &path("get.pcapng")]).code, 0);
@@ -320,7 +320,7 @@ fn the_shell_says_that_the_connection_is_lost_and_connects_again() {
     let folder = tempfile::tempdir().unwrap();
     let backup = folder.path().join("backup");
     let backup = backup.display();
-    // a command that fails because of the lost connection does not open another one
+    // a command that fails because of the lost connection does not open another connection
     let lines = format!(
         "dump {backup}\nexec robot TakeArm 0 1\nput I1 1\nrestore {backup} --yes\nget I1\nconnect\nput I1 2\n\
          exec robot TakeArm 0 1\n"
@@ -363,7 +363,7 @@ fn errors_and_messages_are_shown_and_cleared() {
         b"exec robot TakeArm 0 1\nexec robot Motor 1 0\nerrors\nerrors --clear\nerrors\nexit\nget I1\n",
     );
     assert_eq!(shell.out.matches("0x84201486 (E_").count(), 1, "{shell:?}");
-    // the message of the controller comes before the next prompt
+    // the message of the controller precedes the next prompt
     assert_eq!(shell.err.matches(" RC8 0x84201486: ").count(), 1, "{shell:?}");
     assert!(shell.err.contains("note: DATE("), "{shell:?}");
     assert!(shell.out.ends_with("no errors\n"), "{shell:?}");
@@ -455,7 +455,7 @@ fn a_command_of_a_script_is_repeated() {
     }
 }
 
-/// A shell without a terminal reads its lines without knowing of signals, so Ctrl-C must reach the session by another way.
+/// A shell without a terminal does not see signals while it reads a line, so Ctrl-C must reach the session in another way.
 #[test]
 fn ctrl_c_at_the_prompt_without_a_terminal_gives_the_arm_back() {
     let robot = Virtual::start(&[]);
@@ -488,7 +488,7 @@ fn a_link_that_is_found_lost_at_the_prompt_halts_the_robot() {
     robot.wait_for_motion();
     relay.cut(Cut::Silent);
     relay.heal();
-    // an empty line is no command: it is the prompt after it that finds the link silent
+    // an empty line sends nothing; the next prompt detects that the link is silent
     lines.write_all(b"\n").unwrap();
     drop(lines);
     let run: Run = shell.wait_with_output().unwrap().into();

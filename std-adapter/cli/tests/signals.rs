@@ -1,4 +1,5 @@
-//! Signals, questions and checks: no command leaves an arm, a motor or a motion behind, and none moves by mistake.
+//! Signals, questions and checks: no command leaves the arm taken, the motor on or the robot moving, and no command moves the
+//! robot by mistake.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
@@ -28,7 +29,7 @@ fn state(child: &Child) -> char {
     stat.rsplit(") ").next().unwrap().chars().next().unwrap()
 }
 
-/// A robot whose answer to the first TakeArm comes late.
+/// A robot whose answer to the first TakeArm is delayed.
 fn slow_to_take(delay_ms: u32) -> Robot {
     let robot = Robot::start();
     let late = format!("[[fault]]\nwhen = {{ call = 1, of = \"TakeArm\" }}\nthen = {{ delay_ms = {delay_ms} }}\n");
@@ -88,7 +89,8 @@ fn every_signal_that_can_be_handled_ends_a_motion_in_order() {
     }
 }
 
-/// One command may leave the motor on, and says so. A session of several commands leaves nothing on, however it ends.
+/// A single command may leave the motor on, and says so. A session of several commands never leaves the motor on, however it
+/// ends.
 #[test]
 fn a_motor_that_was_switched_on_by_name_stays_on_only_after_a_single_command() {
     let robot = Robot::start();
@@ -114,7 +116,7 @@ fn a_motor_that_was_switched_on_by_name_stays_on_only_after_a_single_command() {
     ] {
         for program in [&["run", "-"][..], &["shell"]] {
             let run = robot.run_with(program, lines);
-            // the shell prints an error and goes on
+            // the shell prints an error and continues
             assert_eq!(run.code, if program[0] == "shell" { 0 } else { code }, "{lines}: {run:?}");
             assert!(run.err.contains(OFF) && !is_on(), "{program:?} {lines}: {run:?}");
         }
@@ -296,7 +298,7 @@ fn a_real_robot_moves_only_after_a_question() {
     assert!(!robot.served.application().motor_is_on());
     assert_eq!(robot.run(&["move", to, "--yes"]).code, 0);
     assert!((robot.served.application().joints()[0] - 1.0).abs() < 1e-6);
-    // a virtual one is not asked about
+    // a virtual controller needs no confirmation
     assert_eq!(Robot::start().run(&["move", to]).code, 0);
 }
 
@@ -306,7 +308,7 @@ fn the_question_before_a_motion_takes_an_answer_or_a_signal() {
     let folder = tempfile::tempdir().unwrap();
     let script = folder.path().join("script");
     let line = format!("{} move 'J(1, 45, 90, 0, 45, 0)' --robot {}\n", env!("CARGO_BIN_EXE_bcap"), robot.tcp);
-    // the shell goes on after a SIGINT of its command
+    // the shell continues after a SIGINT of its command
     std::fs::write(&script, format!("trap : INT\n{line}echo code $?\nsleep 60\n")).unwrap();
     for (key, code) in [("n", 2), ("C-c", 130), ("y", 0)] {
         let Some(terminal) = Terminal::run((120, 24), &["sh", script.to_str().unwrap()], folder.path()) else { return };
@@ -387,7 +389,7 @@ fn a_motion_whose_link_is_lost_may_go_on_and_the_command_says_so() {
     assert!(run.err.contains("the robot may still move; use the emergency stop"), "{run:?}");
 }
 
-/// Over UDP a controller ends the session of an idle peer that it needs the slot of, as the one that waits to halt.
+/// Over UDP a controller ends the session of an idle peer if it needs its slot: for example the session that waits to halt.
 #[test]
 fn ctrl_c_halts_a_motion_after_the_halting_session_was_evicted() {
     let limits = Limits::default().udp_peers_per_address(3).udp_idle(Duration::ZERO);
@@ -450,7 +452,7 @@ fn a_motor_that_a_lost_session_may_leave_on_is_reported() {
     }
 }
 
-/// Undoing the effects of a session can fail, and the user is the only one who can look at the robot.
+/// Undoing the effects of a session can fail, and only the user can check the robot.
 #[test]
 fn an_end_of_a_session_that_fails_is_a_failure() {
     let fault = |call: u8, of: &str, code: &str| {

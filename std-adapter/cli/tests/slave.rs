@@ -76,7 +76,7 @@ fn speeds(sim: &Served<Slowed>) -> Vec<f64> {
     cycles(sim).windows(2).map(|pair| (pair[1].axes[0] - pair[0].axes[0]) / 0.008).collect()
 }
 
-/// Checks that Slave Mode and the motor are off, the arm is free, nothing moves, and that this is the first error.
+/// Checks that Slave Mode and the motor are off, the arm is free, the robot does not move, and that this is the first error.
 fn assert_at_rest(sim: &Served<Slowed>, first: Option<HResult>) {
     let controller = &sim.application().0;
     assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.is_moving()), (0, None, false));
@@ -123,7 +123,7 @@ fn reported_cosine() {
         (keys(&json["rtt_us"]), keys(&json["jitter_us"])),
         ("max p50 p99 p999".into(), "max p50 p99 p999".into())
     );
-    // 125 poses, and repetitions of the last one until the robot has stopped
+    // 125 poses, and repetitions of the last pose until the robot has stopped
     let count = json["cycles"].as_u64().unwrap();
     assert!((130..200).contains(&count), "{count}");
     assert_eq!((&json["underflows"], &json["refused"]), (&0.into(), &0.into()));
@@ -256,7 +256,8 @@ fn the_first_error_is_reported() {
     });
 }
 
-/// The calls that begin a stream would end the one that runs, on a real controller, and so would those that switch the motor off.
+/// On a real controller, the calls that begin a stream would end the running stream, and so would the calls that switch the
+/// motor off.
 #[test]
 fn a_stream_of_another_client_is_not_ended() {
     repeated(|| {
@@ -374,7 +375,7 @@ fn a_lost_terminal_stops_a_stream_after_the_motion_to_its_start() {
     });
 }
 
-/// Sends a second Ctrl-C when the first one was reported, and returns the rest of the standard error.
+/// Sends a second Ctrl-C when the first was reported, and returns the rest of the standard error.
 fn interrupt_twice(child: &mut Child) -> String {
     send(Signal::INT, child);
     let mut err = BufReader::new(child.stderr.take().unwrap());
@@ -434,7 +435,7 @@ fn moved_by_a_task(model: Profile, faults: &str) -> Served<Controller> {
     Served::of(sim, Limits::default())
 }
 
-/// The controller does not know KillAll.
+/// The controller does not have KillAll.
 const NO_KILL_ALL: &str = "[[fault]]\nwhen = { every = 1, of = 'KillAll' }\nthen = { refuse = 'E_INVALID_CMD_NAME' }\n";
 /// It does not list its tasks either.
 const NO_LIST: &str =
@@ -449,7 +450,7 @@ fn halt_task(sim: &Served<Controller>, args: &[&str]) -> Run {
     bcap(&[&["halt", "--robot", &format!("tcp:{}", sim.tcp)], args].concat())
 }
 
-/// The tasks of the controller go on after KillAll.
+/// The tasks of the controller continue after KillAll.
 const IDLE_KILL_ALL: &str = "[[fault]]\nwhen = { every = 1, of = 'KillAll' }\nthen = { refuse = 'S_OK' }\n";
 
 #[test]
@@ -489,7 +490,7 @@ fn a_halt_has_time_for_each_task() {
     let sim = moved_by_a_task(Profile::Rc8, &format!("{waits}{NO_KILL_ALL}{slow}"));
     let run = halt_task(&sim, &[]);
     assert_eq!((run.out.as_str(), run.code), ("halted\n5 tasks were stopped (Task_Stop)\n", 0), "{}", run.err);
-    // --timeout limits the whole command, and nothing is said to be halted
+    // --timeout limits the whole command, which does not report a halt
     let sim = moved_by_a_task(Profile::Rc8, &format!("{waits}{NO_KILL_ALL}{slow}"));
     let run = halt_task(&sim, &["--timeout", "2500"]);
     assert_eq!((run.out.as_str(), run.code), ("", 4), "{}", run.err);

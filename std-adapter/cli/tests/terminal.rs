@@ -21,7 +21,7 @@ fn ctrl_c_in_the_shell_halts_the_robot_and_gives_the_arm_back() {
         robot.wait_for_motion();
         terminal.keys(&["C-c"]);
         terminal.wait_for("error: interrupted: the robot was halted, and the arm was given back");
-        // the message of the controller comes before the prompt
+        // the message of the controller precedes the prompt
         terminal.wait_for("RC8 0x83500076: E_MOTION_STOPPED");
         terminal.wait_for("RC8 auto error 0x83500076>");
         robot.assert_at_rest_with_free_arm();
@@ -53,7 +53,7 @@ fn ctrl_c_halts_the_motion_to_the_start_of_a_stream_in_the_shell() {
         robot.wait_for_motion();
         terminal.keys(&["C-c"]);
         terminal.wait_for("error: interrupted: the robot was halted, and the arm was given back");
-        // the message of the controller comes before the prompt
+        // the message of the controller precedes the prompt
         terminal.wait_for("RC8 0x83500076: E_MOTION_STOPPED");
         terminal.wait_for("RC8 auto error 0x83500076>");
         robot.assert_at_rest_with_free_arm();
@@ -63,7 +63,7 @@ fn ctrl_c_halts_the_motion_to_the_start_of_a_stream_in_the_shell() {
         terminal.keys(&["C-l"]);
         terminal.wait_until("an empty screen", |screen| !screen.contains("error"));
     }
-    // the shell itself goes on
+    // the shell itself continues
     terminal.enter("get I1");
     terminal.wait_for("I1 = 0");
     terminal.enter("exit");

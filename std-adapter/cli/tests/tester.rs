@@ -49,8 +49,8 @@ fn attempts_are_clamped_and_share_the_time() {
     }
 }
 
-/// Checks how often a server without replies is asked. On a busy machine an attempt can be so late that the time limit is over
-/// before the last one, so fewer are repeated; more are a failure.
+/// Checks the number of attempts for a server without replies. On a busy machine an attempt can be so late that the time limit
+/// ends before the last attempt, so a run with fewer attempts is repeated; more are a failure.
 #[track_caller]
 fn assert_attempts(options: &[&str], expected: usize, limit: &str) {
     let mut received = 0;

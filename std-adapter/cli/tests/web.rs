@@ -40,7 +40,7 @@ impl Web {
         .unwrap();
         let mut response = Vec::new();
         stream.read_to_end(&mut response).unwrap();
-        // a file of packets is no text
+        // a file of packets is not text
         String::from_utf8_lossy(&response).into_owned()
     }
 
@@ -110,7 +110,7 @@ fn it_prints_its_address_serves_the_profiles_and_ends() {
     assert!(missing.status.code() == Some(2) && error.contains("the profile welder has no address"), "{error}");
 }
 
-/// The line `ready` has the address of the page. Pages and other clients see the same controller.
+/// The line `ready` contains the address of the page. Pages and other clients use the same controller.
 #[test]
 fn a_virtual_controller_serves_its_page_and_its_panel() {
     let any = "127.0.0.1:0";

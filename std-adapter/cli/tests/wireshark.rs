@@ -244,7 +244,7 @@ fn array(kind: u8, count: usize, data: &[u8]) -> Vec<u8> {
     [&[kind, 0x20][..], &u32::try_from(count).unwrap().to_le_bytes(), data].concat()
 }
 
-/// Streams that are large, or that make a careless dissector search, recurse or count for ever.
+/// Streams that are large, or that make a careless dissector search, recurse or count endlessly.
 fn costly() -> Vec<Vec<u8>> {
     let nested = (0..2000).fold(i4(1), |inner, _| array(12, 1, &inner));
     let values = [
@@ -257,7 +257,7 @@ fn costly() -> Vec<Vec<u8>> {
     ];
     let frames = values.iter().map(|value| numbered(1, 0, 102, &[i4(3), value.clone()]));
     let small: Vec<u8> = (0..4000).flat_map(|_| numbered(1, 0, 2, &[])).collect();
-    // every byte may begin a frame, of a length that is too short, too long, or not there
+    // every byte may begin a frame, with a length that is too short, too long, or missing
     frames
         .chain([small, vec![1; 100_000], [1, 0, 0, 0, 0].repeat(20_000), [1, 0xff, 0xff, 0, 0].repeat(20_000)])
         .collect()

@@ -1,4 +1,4 @@
-//! One connection to the broker. It is made anew after a loss, so that nothing is sent again without the publisher knowing.
+//! One connection to the broker. After a loss it is replaced by a new one, so that only the publisher sends messages again.
 
 use std::io;
 
@@ -108,8 +108,8 @@ impl Connector {
     }
 }
 
-/// Connects a socket that sends at once. With Nagle's algorithm the answer to a command would wait until the broker's kernel has
-/// acknowledged the PUBACK before it, which takes up to 40 ms.
+/// Connects a socket that sends without delay. With Nagle's algorithm the answer to a command would wait until the broker's
+/// kernel has acknowledged the preceding PUBACK, which takes up to 40 ms.
 async fn socket(address: String, mut network: NetworkOptions) -> io::Result<TcpStream> {
     network.set_tcp_nodelay(true);
     default_socket_connect(address, network).await
@@ -159,7 +159,7 @@ fn connect_with_tls(options: &mut MqttOptions, host: &str, tls: &config::Tls) ->
             roots.add(certificate).map_err(|error| wrong(ca, &error))?;
         }
     } else {
-        // some of them may have a form that rustls does not know
+        // some of them may have a form that rustls does not support
         roots.add_parsable_certificates(rustls_native_certs::load_native_certs().certs);
         if roots.is_empty() {
             return Err(Error::Tls("this system has no certificates of authorities: give ca in [broker.tls]".into()));

@@ -14,7 +14,7 @@ use crate::fleet::settings;
 use crate::scan::read;
 use crate::stream::StreamCheck;
 
-/// The longest time of one connection, and of one reading.
+/// Maximum time of one connection attempt, and of one reading.
 const LIMIT: Duration = Duration::from_secs(5);
 
 /// An attempt and its outcome.
@@ -33,7 +33,7 @@ pub struct Row {
 ///
 /// # Errors
 ///
-/// An [`Error`] for a secret or certificate that cannot be read. All else is in the rows.
+/// An [`Error`] for a secret or certificate that cannot be read. All other failures are in the rows.
 ///
 /// # Cancel safety
 ///
@@ -52,7 +52,7 @@ pub async fn check(config: &Config) -> Result<Vec<Row>, Error> {
     Ok(rows)
 }
 
-/// Reads the secrets and certificates, and connects to nothing.
+/// Reads the secrets and certificates, without connecting.
 ///
 /// # Errors
 ///

@@ -43,7 +43,7 @@ pub(crate) struct Command {
     pub(crate) value: Value,
     /// Milliseconds since 1970.
     pub(crate) expires: u64,
-    /// Who sent it, as it claims.
+    /// The sender, as claimed in the command.
     pub(crate) origin: Option<String>,
 }
 
@@ -79,8 +79,8 @@ pub(crate) struct Finished {
 #[derive(Debug)]
 pub(crate) struct CommandCheck {
     config: config::Commands,
-    /// How far the clock of a sender may be ahead of this one, in milliseconds. A host of Sparkplug sends no expiry: its
-    /// commands expire `longest_seconds` after its own time.
+    /// Maximum time that the clock of a sender may be ahead of this clock, in milliseconds. A Sparkplug host sends no expiry:
+    /// its commands expire `longest_seconds` after the sender's time.
     lead: u64,
     /// The last time at which another process can have accepted a command, in milliseconds since 1970.
     began: u64,
@@ -143,7 +143,7 @@ impl CommandCheck {
         Ok(Job { name: canonical(name), value, deadline, expires: *expires })
     }
 
-    /// Refuses the copy of a command that was accepted. Its first copy may be running, so this is no answer to the command.
+    /// Refuses the copy of a command that was accepted. Its first copy may be running, so this is not an answer to the command.
     pub(crate) fn check_copy(&mut self, cell: usize, id: &str, now: u64) -> Result<(), Unsent> {
         self.accepted.retain(|_, expires| *expires > now);
         if self.accepted.contains_key(&(cell, id.to_owned())) {

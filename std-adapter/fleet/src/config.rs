@@ -20,7 +20,7 @@ pub struct Config {
     pub(crate) node: String,
     #[serde(default)]
     pub(crate) format: Format,
-    /// The id of the Sparkplug host without which nothing is published.
+    /// The id of the Sparkplug host. While it is offline, nothing is published.
     pub(crate) primary_host: Option<String>,
     pub(crate) broker: Broker,
     pub(crate) buffer: Option<Buffer>,
@@ -61,7 +61,7 @@ pub(crate) struct Broker {
 #[serde(deny_unknown_fields)]
 #[cfg_attr(not(feature = "tls"), allow(dead_code, reason = "only encrypted connections use them"))]
 pub(crate) struct Tls {
-    /// The authorities that sign the broker's certificate; without them those of the operating system.
+    /// The authorities that sign the broker's certificate; by default the authorities of the operating system.
     pub(crate) ca: Option<PathBuf>,
     pub(crate) certificate: Option<PathBuf>,
     pub(crate) key: Option<PathBuf>,
@@ -88,11 +88,11 @@ pub(crate) struct MetricsEndpoint {
     pub(crate) port: u16,
 }
 
-/// How several processes of a node divide their work.
+/// The division of work between several processes of a node.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Standby {
-    /// The time without a message of the active process after which another one takes over.
+    /// The time without a message of the active process after which another process takes over.
     #[serde(default = "after_ms")]
     after_ms: u64,
 }
@@ -112,7 +112,7 @@ pub(crate) struct Commands {
     /// The commands a second for each controller.
     #[serde(default = "per_second")]
     pub(crate) per_second: u32,
-    /// The longest time between the arrival of a command and its expiry.
+    /// Maximum time between the arrival of a command and its expiry.
     #[serde(default = "longest_seconds")]
     pub(crate) longest_seconds: u32,
 }

@@ -11,8 +11,8 @@ use crate::reading::Reading;
 
 /// A format of messages.
 pub(crate) trait Encoder: Send {
-    /// Returns whether births and deaths say which values are valid. Without them the retained state of the node does, and a reading
-    /// can be sent at any time.
+    /// Returns whether births and deaths say which values are valid. Otherwise the retained state of the node does, and a
+    /// reading can be sent at any time.
     fn has_births(&self) -> bool;
 
     /// Returns the will of the next connection; `None` if the state of the node is the will.
@@ -25,7 +25,7 @@ pub(crate) trait Encoder: Send {
         None
     }
 
-    /// Returns the topics of commands; `are_on` tells whether a rule allows any command.
+    /// Returns the topics of commands; `are_on` is whether a rule allows any command.
     fn topics(&self, config: &Config, are_on: bool) -> Vec<String>;
 
     /// Adds the messages that a host needs after a new connection.
@@ -37,7 +37,7 @@ pub(crate) trait Encoder: Send {
     /// Adds messages for the state of a controller, which `outbox` has already.
     fn state(&mut self, outbox: &mut Outbox<'_>, state: &State);
 
-    /// Adds messages for a new reading. Returns an earlier reading that it replaces before it was sent.
+    /// Adds messages for a new reading. Returns an unsent earlier reading that it replaces.
     fn reading(&mut self, outbox: &mut Outbox<'_>, reading: Reading) -> Option<Reading>;
 
     /// Returns whether a new reading would be in the last message.
@@ -45,10 +45,10 @@ pub(crate) trait Encoder: Send {
         false
     }
 
-    /// Adds messages for a reading of the backlog; `has_more` tells whether one of the same controller follows.
+    /// Adds messages for a reading of the backlog; `has_more` is whether a reading of the same controller follows.
     fn historical(&mut self, outbox: &mut Outbox<'_>, reading: Reading, has_more: bool);
 
-    /// Forgets the values of a session that ends. Returns those that were not sent, as historical readings.
+    /// Drops the values of a session that ends. Returns the unsent values, as historical readings.
     fn take_unsent(&mut self, _: usize, _: &mut CellCache) -> Vec<Reading> {
         Vec::new()
     }
@@ -121,9 +121,9 @@ impl Outbox<'_> {
 /// A message of a host, decoded.
 #[derive(Debug, PartialEq)]
 pub(crate) enum Decoded {
-    /// It is for another node, or asks for nothing.
+    /// It is for another node, or has no request.
     Nothing,
-    /// It asks for all values.
+    /// It requests all values.
     Repeat,
     /// Commands for a controller.
     Commands(usize, Vec<Command>),

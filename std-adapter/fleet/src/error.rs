@@ -1,9 +1,9 @@
-//! Why a fleet cannot start or go on.
+//! The reasons why a fleet cannot start or continue.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-/// Why a fleet cannot start or go on.
+/// The reason why a fleet cannot start or continue.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -30,7 +30,7 @@ pub enum Event {
         /// Whether it is online.
         online: bool,
     },
-    /// The broker refuses the subscription of commands, so none arrives. Values are published.
+    /// The broker refuses the subscription of commands, so no commands arrive. Values are published.
     CommandsDenied {},
     /// A session with a controller was opened.
     RobotUp {
@@ -50,10 +50,10 @@ pub enum Event {
         controller: String,
         /// The code, as `0x83204071`.
         code: String,
-        /// What it means.
+        /// Its meaning.
         #[serde(skip_serializing_if = "Option::is_none")]
         meaning: Option<&'static str>,
-        /// What to do.
+        /// Its remedy.
         #[serde(skip_serializing_if = "Option::is_none")]
         remedy: Option<String>,
     },
@@ -66,23 +66,23 @@ pub enum Event {
         /// Which call was skipped, and why.
         reason: String,
     },
-    /// The buffer on disk failed; new readings wait in memory, and those that do not fit are dropped and counted.
+    /// The buffer on disk failed; new readings wait in memory, and readings that do not fit are dropped and counted.
     BufferFailed {
         /// Why.
         reason: String,
     },
-    /// The buffer on disk takes readings again.
+    /// The buffer on disk accepts readings again.
     BufferWorks {},
     /// Events of commands of a controller exceeded the rate, and were not reported.
     Suppressed {
         /// The controller.
         controller: String,
-        /// How many.
+        /// The number of events.
         events: u64,
     },
     /// The end of the process lost readings that were in memory, because there is no buffer on disk, or it has failed.
     Unsent {
-        /// How many.
+        /// The number of readings.
         readings: u64,
     },
     /// A command arrived from the broker, and was executed or not.
@@ -93,14 +93,14 @@ pub enum Event {
         topic: String,
         /// The correlation id.
         id: String,
-        /// Who sent it, as the command itself claims; the broker does not tell.
+        /// The sender, as claimed in the command; the broker does not report it.
         #[serde(skip_serializing_if = "Option::is_none")]
         origin: Option<String>,
         /// The variable.
         name: String,
         /// The value, as JSON.
         value: String,
-        /// How it ended.
+        /// The outcome.
         result: CommandResult,
         /// Why it was not executed.
         #[serde(skip_serializing_if = "Option::is_none")]
@@ -117,7 +117,7 @@ pub enum CommandResult {
     Done,
     /// The command was not sent to the controller.
     Refused,
-    /// The controller refused the value, or there was no connection; nothing was written.
+    /// The controller refused the value, or there was no connection; the value was not written.
     Failed,
     /// The controller did not answer in time, or another process may have sent the command; the value may have been written.
     Unknown,

@@ -34,11 +34,11 @@ pub struct Fleet {
 
 impl Fleet {
     /// Reads secrets and certificates, opens the buffer, listens for metrics, and begins to connect to the controllers.
-    /// `report` is called for each [`Event`]; it must return at once.
+    /// `report` is called for each [`Event`]; it must return immediately.
     ///
     /// # Errors
     ///
-    /// An [`Error`]. A disconnected broker or controller is no error.
+    /// An [`Error`]. A disconnected broker or controller is not an error.
     ///
     /// # Cancel safety
     ///
@@ -118,7 +118,7 @@ impl Fleet {
     }
 }
 
-/// The longest time for the end of all sessions.
+/// Maximum time for the end of all sessions.
 const CLOSE: std::time::Duration = std::time::Duration::from_secs(2);
 
 /// Begins to connect to a controller.

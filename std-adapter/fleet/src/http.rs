@@ -12,7 +12,8 @@ use tokio::time::timeout;
 
 use crate::scan::Shared;
 
-/// The maximum number of connections at the same time. A further one ends the oldest, so that idle ones lock no other out.
+/// The maximum number of connections at the same time. A further connection ends the oldest, so that idle connections do not
+/// block others.
 const CONNECTIONS: usize = 16;
 
 /// The time until the end of a request's header.
@@ -83,7 +84,7 @@ async fn header(stream: &mut TcpStream, request: &mut [u8]) -> std::io::Result<u
     let mut length = 0;
     while !request[..length].windows(4).any(|end| end == b"\r\n\r\n") {
         match stream.read(&mut request[length..]).await? {
-            // also of a header that is too long
+            // the stream has ended, or the header is too long
             0 => return Err(std::io::ErrorKind::UnexpectedEof.into()),
             count => length += count,
         }

@@ -111,7 +111,7 @@ impl Encoder for Json {
     }
 }
 
-/// Returns the id of a message that is not a command, for its answer; empty if it has none.
+/// Returns the id of a message that is not a command, for its answer; empty if the message has no id.
 fn id(payload: &[u8]) -> String {
     #[derive(Deserialize)]
     struct WithId {
@@ -159,7 +159,7 @@ pub(crate) fn topic(config: &Config, name: &str, leaf: &str) -> String {
 }
 
 /// Returns the message that the broker sends when this node is gone, or that this node sends when it starts or ends. With
-/// several processes, `instance` says which one is meant, and `bd_seq` lets the next one continue its numbers.
+/// several processes, `instance` names the process, and `bd_seq` lets the next process continue its numbers.
 pub(crate) fn node(config: &Config, online: bool, time: u64, instance: Option<&str>, bd_seq: Option<u8>) -> Message {
     let state = if online { "online" } else { "offline" };
     let shown = StateShown { state, time, reason: None, instance, bd_seq };
@@ -187,7 +187,7 @@ fn add(outbox: &mut Outbox<'_>, reading: Reading) {
     }
 }
 
-/// Adds a reading to the messages: to the last one if both are in the list of the same controller. Returns its message.
+/// Adds a reading to the messages: to the last message if both are in the list of the same controller. Returns its message.
 fn publish<'m>(
     config: &Config,
     messages: &'m mut VecDeque<Message>,

@@ -18,7 +18,7 @@
 //! | `store`                 | readings on disk while the broker is disconnected                        |
 //! | `broker`                | one connection to the broker, with TLS                                   |
 //! | `publisher`             | moves readings to the broker, and commands from it                       |
-//! | `standby`               | decides which process of a node is active                                |
+//! | `standby`               | determines which process of a node is active                             |
 //! | `encoder`               | the interface of the two formats                                         |
 //! | `json`, `sparkplug`     | topics and payloads                                                      |
 //! | `command`               | rules, expiry and at-most-once execution of commands                     |

@@ -56,7 +56,7 @@ impl Metrics {
         }
     }
 
-    /// Counts lost readings: those of a full queue, and those that the backlog did not keep.
+    /// Counts lost readings: from a full queue, or not kept by the backlog.
     pub(crate) fn lose(&self, readings: u64) {
         self.dropped.fetch_add(readings, Ordering::Relaxed);
     }

@@ -85,7 +85,7 @@ impl Source {
 /// The maximum number of variables of a range.
 const LONGEST: u32 = 10_000;
 
-/// The longest interval.
+/// Maximum interval.
 const DAY: Duration = Duration::from_secs(86_400);
 
 /// Returns the points of a table `publish`.

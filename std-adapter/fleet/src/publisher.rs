@@ -47,19 +47,19 @@ use crate::store::Store;
 /// The delays between two attempts to connect.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
 
-/// The longest time for the last messages.
+/// Maximum time for the last messages.
 const CLOSE: Duration = Duration::from_secs(2);
 
 /// New readings beyond this go to the buffer although there is a connection.
 const BACKLOG: usize = 10_000;
 
-/// How long a connection must last before the backoff begins anew: a broker may accept and close at once.
+/// Minimum time that a connection must last before the backoff is reset: a broker may accept and immediately close.
 const STABLE: Duration = Duration::from_secs(2);
 
-/// The least time between two rounds of all values.
+/// Minimum time between two rounds of all values.
 const REPEAT: Duration = Duration::from_secs(1);
 
-/// Events of refused commands of a controller a second, over a longer time.
+/// Sustained rate of events for refused commands of a controller, per second.
 const REFUSALS: u32 = 10;
 
 /// Moves readings to the broker and commands from it.
@@ -78,14 +78,15 @@ pub(crate) struct Publisher {
     backlog: Backlog,
     commands: CommandCheck,
     running: JoinSet<Finished>,
-    /// Whether the commands that run are given up, and new ones are refused.
+    /// Whether running commands are abandoned, and new commands are refused.
     gives_up: watch::Sender<bool>,
     /// The number of commands of each controller that run.
     running_of: Vec<usize>,
     link: Option<Connection>,
     retry: Instant,
     backoff: Duration,
-    /// Whether all values must be sent again: newer ones than the retained ones went to the buffer, or a host has asked.
+    /// Whether all values must be sent again: values newer than the retained ones went to the buffer, or a host has requested
+    /// it.
     stale: bool,
     /// When all values may be sent again, so that many requests of hosts are one.
     repeat_at: Instant,
@@ -194,7 +195,7 @@ impl Publisher {
                     }
                 }
                 Item::Reading(mut reading) => {
-                    // also the latest one: it is in the backlog
+                    // even the latest reading: it is in the backlog
                     reading.historical = true;
                     self.cells[reading.cell].latest[reading.point] = Some(reading.clone());
                     readings.push(reading);
@@ -396,12 +397,12 @@ impl Publisher {
 
     /// Announces the end, and keeps readings that may not have arrived.
     async fn close(mut self) {
-        // the controllers are closed, so commands end at once, unless one does not answer
+        // the controllers are closed, so commands end immediately, unless a controller does not answer
         if timeout(CLOSE, self.join()).await.is_err() {
             self.gives_up.send_replace(true);
             self.join().await;
         }
-        // nothing waits for a command that arrives from now on
+        // commands that arrive from now on are refused
         self.gives_up.send_replace(true);
         if self.is_up() {
             self.step().await;

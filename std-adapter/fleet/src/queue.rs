@@ -47,7 +47,7 @@ impl Queue {
     pub(crate) fn push(&self, item: Item) {
         let mut items = self.lock();
         if items.len() >= LIMIT {
-            // states are few, and are needed to tell good values from old ones
+            // states are few, and are needed to distinguish good values from old ones
             let oldest = items.iter().position(|item| matches!(item, Item::Reading(_)));
             if oldest.and_then(|oldest| items.remove(oldest)).is_some() {
                 self.losses.fetch_add(1, Ordering::Relaxed);

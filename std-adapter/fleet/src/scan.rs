@@ -1,8 +1,8 @@
 //! The scan of one controller: reads each point at its interval, one call after another, and reports changes. Variables
 //! with the same deadline are one request to the task of the controller, which saves most of the cost of a reading.
 //!
-//! It reads by itself, and not with `Controller::subscribe`: a subscription skips a reading that was replaced before it was
-//! taken, has no time of the reading, and cannot read the pose of the robot.
+//! It does not use `Controller::subscribe`: a subscription skips a reading that was replaced before it was taken, has no time
+//! of the reading, and cannot read the pose of the robot.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -25,10 +25,10 @@ use crate::queue::{Item, Queue, State};
 use crate::reading::{Quality, Reading, Value, now_ms};
 use crate::stream::{ReadError, StreamCheck};
 
-/// The maximum number of variables that are read together. Commands for the controller wait meanwhile.
+/// The maximum number of variables that are read together. Commands for the controller wait during that.
 const BATCH: usize = 32;
 
-/// The shortest pause of a point that does not respond. It doubles with each timeout, up to the longest one.
+/// Initial pause of a point that does not respond. It doubles with each timeout, up to a maximum.
 const PAUSE: Duration = Duration::from_secs(4);
 /// The maximum number of doublings of a pause: 256 s.
 const DOUBLINGS: u32 = 6;
@@ -222,7 +222,7 @@ impl Scan {
         self.push(scanned, time, None, Quality::Bad);
     }
 
-    /// Reports a reading unless it counts as equal to the last one.
+    /// Reports a reading unless it counts as equal to the last reading.
     fn push(&self, scanned: &mut Scanned<'_>, time: u64, value: Option<Value>, quality: Quality) {
         let Point { dead_band, on_change, .. } = *scanned.point;
         let is_same = |(last, was): &(Option<Value>, Quality)| {
@@ -386,7 +386,7 @@ async fn read_batch(
         return vec![(now_ms(), value)];
     };
     match controller.read_each(&names).await {
-        // there is no session, and none of them was read
+        // there is no session, and no point was read
         Err(_) => Vec::new(),
         Ok(values) => {
             let (now, ended) = (now_ms(), std::time::Instant::now());
@@ -490,7 +490,7 @@ mod tests {
         let mut scanned: Vec<_> = (0..).zip(&points).map(|(index, point)| Scanned::new(index, point)).collect();
         let now = Instant::now();
         assert_eq!(batch(&scanned, now), [0, 1, 2]);
-        // the first one timed out, and the others were not read
+        // the first point timed out, and the others were not read
         let mut read = |batch: &[usize], ms| {
             batch.iter().for_each(|index| scanned[*index].attempted = Some(now + Duration::from_millis(ms)));
             scanned[0].timeouts = 1;

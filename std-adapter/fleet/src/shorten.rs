@@ -1,7 +1,7 @@
-//! A transport that removes the payload of a message of the broker that is too large, before it takes memory.
+//! A transport that removes the payload of a broker's message that is too large, before it takes memory.
 //!
-//! MQTT 3.1.1 has no limit that a client can announce, and a client that refuses a message ends the connection. A retained one
-//! would then end each connection anew. Without its payload the message is acknowledged, and refused as a command.
+//! MQTT 3.1.1 has no limit that a client can announce, and a client that refuses a message ends the connection. A retained
+//! message would then end every new connection. Without its payload the message is acknowledged, and refused as a command.
 
 use std::io;
 use std::pin::Pin;
@@ -12,7 +12,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 /// The maximum size of a message after its fixed header in bytes. A command is short.
 pub(crate) const LARGEST: usize = 1 << 20;
 
-/// The bytes that are read at once.
+/// The number of bytes per read.
 const CHUNK: usize = 16 << 10;
 
 /// The first four bits of PUBLISH.
@@ -21,7 +21,7 @@ const PUBLISH: u8 = 3;
 /// Bytes of MQTT, of which large payloads are removed.
 #[derive(Debug, Default)]
 struct Shortener {
-    /// The fixed header of the next packet, and of a large PUBLISH also the topic and the packet identifier.
+    /// The fixed header of the next packet; for a large PUBLISH followed by the topic and the packet identifier.
     head: Vec<u8>,
     /// The bytes of the current packet that are still to be forwarded, or removed.
     forward: usize,

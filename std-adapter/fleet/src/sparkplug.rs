@@ -2,7 +2,7 @@
 //!
 //! | message | when                                                                                    |
 //! |---------|-----------------------------------------------------------------------------------------|
-//! | NBIRTH  | after each connection, and when a host asks for a rebirth                                |
+//! | NBIRTH  | after each connection, and when a host requests a rebirth                               |
 //! | NDEATH  | by will, and before an orderly end                                                       |
 //! | DBIRTH  | when there is a session with the controller and each of its points was read              |
 //! | DDATA   | readings, by alias; `is_historical` if the broker was disconnected                        |
@@ -31,7 +31,7 @@ use crate::reading::{Reading, now_ms};
 use crate::shorten::LARGEST;
 use crate::units::elements;
 
-/// The metric by which a host asks for births.
+/// The metric with which a host requests births.
 const REBIRTH: &str = "Node Control/Rebirth";
 
 /// The metric that joins births and deaths of a node.
@@ -218,7 +218,7 @@ impl Sparkplug {
         Metric::named(BD_SEQ, DataType::Int64 as u32, Number::Long(self.bd_seq.into()))
     }
 
-    /// Returns the birth of the node. All devices need a birth after it.
+    /// Returns the birth of the node. After it, all devices need a birth.
     fn birth(&mut self, config: &Config) -> Message {
         self.seq = 0;
         self.devices.iter_mut().for_each(|device| device.is_born = false);
@@ -267,7 +267,7 @@ impl Sparkplug {
     }
 
     /// Adds a reading to the data of other points of the same controller; returns whether it was added. A scan reads many
-    /// points at once, and one message for all of them costs the broker and its subscribers much less.
+    /// points together, and one message for all of them costs the broker and its subscribers much less.
     fn join(&self, config: &Config, message: &mut Message, reading: &Reading) -> bool {
         let fits = |other: &Reading| {
             other.cell == reading.cell && other.point != reading.point && other.historical == reading.historical
@@ -310,7 +310,8 @@ impl Sparkplug {
         message(topic, &payload, readings)
     }
 
-    /// Returns the writes that a host asks a device for. A write was sent at the time of its metric, or else of the payload.
+    /// Returns the writes that a host requests from a device. The send time of a write is the time of its metric, or else of
+    /// the payload.
     fn commands(&self, config: &Config, cell: usize, payload: &[u8], longest: u64) -> Result<Vec<Command>, String> {
         if payload.is_empty() {
             return Err(format!("it is empty, or has more than {LARGEST} bytes"));
@@ -333,7 +334,7 @@ impl Sparkplug {
     }
 }
 
-/// Returns whether a metric asks for births.
+/// Returns whether a metric requests births.
 fn is_rebirth(metric: &Metric) -> bool {
     metric.name.as_deref() == Some(REBIRTH) && metric.value == Some(Number::Boolean(true))
 }

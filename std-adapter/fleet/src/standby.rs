@@ -3,16 +3,16 @@
 //! | role    | client id          | work of the process                                                          |
 //! |---------|--------------------|------------------------------------------------------------------------------|
 //! | active  | the node's         | reads, publishes, executes commands, repeats `online` on the topic of its state |
-//! | watcher | its own topic      | reads this topic; keeps its sessions with the controllers, but reads nothing |
+//! | watcher | its own topic      | reads this topic; keeps its sessions with the controllers without reading |
 //!
-//! The broker is the lock. It has one connection for a client id, and closes the older one. A watcher takes over by a
-//! connection with the client id of the node: from then on the earlier process cannot publish. It takes over when it sees
+//! The broker is the lock. It keeps one connection for a client id, and closes the older one. A watcher takes over by
+//! connecting with the client id of the node: from then on the earlier process cannot publish. It takes over when it sees
 //! `offline` or the will of the active process, or no `online` for some time.
 //!
 //! **Commands.** The active process accepts a command only if the broker has acknowledged a message that it sent less than
-//! `after` ago. So it accepts none later than `after` following a takeover, and none that expires later than `after` and
-//! `longest_seconds` following it. The new process refuses all of these, with another `after` for clocks that differ. So no
-//! command is accepted by both, whatever the watcher saw and whenever the earlier process goes on.
+//! `after` ago. So it accepts no command later than `after` following a takeover, and no command that expires later than
+//! `after` and `longest_seconds` following it. The new process refuses all of these, with an additional `after` for clocks that
+//! differ. So no command is accepted by both, no matter what the watcher received and when the earlier process continues.
 
 use std::collections::hash_map::RandomState;
 use std::hash::{BuildHasher as _, Hasher as _};
@@ -21,8 +21,8 @@ use std::time::Duration;
 use serde::Deserialize;
 use tokio::time::Instant;
 
-/// The range of the delay of a takeover in milliseconds: an active process that lost its connection comes first, and two
-/// watchers rarely take over at the same time.
+/// The range of the delay of a takeover in milliseconds: an active process that lost its connection is faster, and two watchers
+/// rarely take over at the same time.
 const DELAY_MS: (u64, u64) = (10, 50);
 
 /// The part of `after` between two `online`.
@@ -104,7 +104,7 @@ impl Failover {
         self.takeover.get_or_insert(now + self.after);
     }
 
-    /// A watcher has seen a state; returns whether another process is active now.
+    /// A watcher has received a state; returns whether another process is active now.
     pub(crate) fn saw(&mut self, seen: &Seen, is_retained: bool, now: Instant) -> bool {
         let is_own = seen.instance.as_ref() == Some(&self.instance);
         if seen.state == "online" {
@@ -125,14 +125,14 @@ impl Failover {
         false
     }
 
-    /// A watcher has seen the end of the process that was online last.
+    /// A watcher has received the end of the process that was online last.
     pub(crate) fn saw_death(&mut self, now: Instant) {
         let (least, most) = DELAY_MS;
         self.takeover = Some(now + Duration::from_millis(least + random() % (most - least)));
     }
 
-    /// Puts the takeover off if it comes late: this process, or its machine, had stopped, and messages of the active process
-    /// may wait to be read. Returns whether it was put off; a process that is always late takes over the second time.
+    /// Postpones the takeover if it is late: this process, or its machine, had stopped, and messages of the active process may
+    /// wait to be read. Returns whether it was postponed; a process that is always late takes over the second time.
     pub(crate) fn put_off(&mut self, now: Instant) -> bool {
         let is_late = self.takeover.is_some_and(|takeover| now > takeover + self.after / BEATS);
         if !is_late || self.is_put_off {

@@ -131,7 +131,7 @@ impl Store {
         line.push(b'\n');
         let (Some(file), Some(last)) = (&mut self.open, self.segments.back_mut()) else { return Ok(()) };
         if let Err(error) = file.write_all(&line) {
-            // without the part of the line, so that the same file can take the next one
+            // removes the partial line, so that the next line can be written to the same file
             if file.set_len(last.bytes).is_err() {
                 self.open = None;
             }
@@ -153,7 +153,7 @@ impl Store {
                     self.next += 1;
                     return Ok(());
                 }
-                // what is not of this store keeps its name
+                // a file that does not belong to this store keeps its name
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => self.next += 1,
                 Err(error) => return Err(error),
             }

@@ -1,8 +1,8 @@
 //! The check before a call that would end a stream of Slave Mode.
 //!
-//! On a real controller a call that Slave Mode refuses ends Slave Mode, even when another client sends it. So the mode
-//! is asked before each such call, and the call is skipped while a stream runs or may run. A stream that begins between
-//! the question and the call can still be ended.
+//! On a real controller a call that Slave Mode refuses ends Slave Mode, even when another client sends it. So the mode is
+//! queried before each such call, and the call is skipped while a stream runs or may run. A stream that begins between the
+//! query and the call can still be ended.
 
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -38,12 +38,13 @@ impl fmt::Display for ReadError {
 /// Checks the calls for a controller.
 #[derive(Debug, Default)]
 pub(crate) struct StreamCheck {
-    /// Whether the controller has said that it has no Slave Mode. It is not asked again: a refusal may be an entry in its log.
+    /// Whether the controller has answered that it has no Slave Mode. It is not queried again: a refusal may be an entry in its
+    /// log.
     is_absent: AtomicBool,
 }
 
 impl StreamCheck {
-    /// Fails with [`ReadError::Skipped`] if a call must not be sent. Calls that Slave Mode allows need no question.
+    /// Fails with [`ReadError::Skipped`] if a call must not be sent. Calls that Slave Mode allows need no query.
     pub(crate) async fn require(
         &self,
         controller: &Controller,
@@ -64,7 +65,7 @@ impl StreamCheck {
     }
 }
 
-/// Asks whether a stream runs.
+/// Queries whether a stream runs.
 async fn state(controller: &Controller) -> Result<StreamState, Error> {
     let asked = async { controller.robot().await?.execute::<OwnedVariant>(StreamState::COMMAND, ()).await };
     match asked.await {

@@ -92,7 +92,7 @@ impl Random {
 /// The messages that a subscriber has received.
 #[derive(Default)]
 struct Received {
-    /// The ids of each value of a robot, and how often each one arrived.
+    /// The ids of each value of a robot, and the number of times that each arrived.
     readings: BTreeMap<(usize, i64), BTreeMap<u64, u32>>,
     /// The results of each command.
     answers: HashMap<String, HashSet<String>>,
@@ -139,7 +139,7 @@ fn config(port: u16, buffer: &std::path::Path, cells: &[Cell]) -> String {
     text
 }
 
-/// Sends commands, each one twice, as a sender does that was not sure.
+/// Sends commands, each twice, as a sender that got no answer does.
 async fn send(host: &Subscriber, numbers: std::ops::Range<usize>) {
     for number in numbers {
         let command = json!({"id": format!("c{number}"), "name": "I10", "value": number, "expires": now_ms() + 9_900});

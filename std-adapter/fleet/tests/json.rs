@@ -46,7 +46,7 @@ async fn values_and_states_of_several_robots_arrive() {
     host.json("bcap/plant/cell2/I1", |json| json["value"] == 23).await;
 
     one.kill().await;
-    // the read that fails may be reported before the lost connection, or after it
+    // the failed read may be reported before or after the lost connection
     let mut missing = vec!["bcap/plant/cell1/I1", "bcap/plant/cell1/state"];
     while !missing.is_empty() {
         let publish = host.next().await;
@@ -58,7 +58,7 @@ async fn values_and_states_of_several_robots_arrive() {
     one.restart().await;
     host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good" && json["value"] == 11).await;
 
-    // a subscriber that comes later gets the retained values
+    // a later subscriber gets the retained values
     let mut late = Subscriber::start(broker.port, "bcap/plant/cell2/pose").await;
     let pose = late.json("bcap/plant/cell2/pose", |json| json["quality"] == "good").await;
     assert_eq!(pose["value"].as_array().unwrap().len(), 7);
@@ -133,7 +133,7 @@ async fn a_flood_of_refused_commands_is_answered_and_few_of_its_events_are_repor
     let robot = Robot::start().await;
     let mut host = Subscriber::start(broker.port, "bcap/plant/cell1/answer").await;
     let fleet = Running::start(&config(broker.port, "[commands]\nallow = [\"I/1\"]", &[&robot], FAST)).await;
-    // the node subscribes before it says that it is online
+    // the node subscribes before it announces that it is online
     let mut node = Subscriber::start(broker.port, "bcap/plant/edge1/state").await;
     node.json("bcap/plant/edge1/state", |json| json["state"] == "online").await;
     let began = std::time::Instant::now();
@@ -221,7 +221,7 @@ async fn joined_readings_of_a_scan_share_a_message() {
     robot.restart().await;
     next_list(&mut host, "I7", &json!(-7)).await;
 
-    // other points have a retained topic, and a list has none
+    // other points have a retained topic, but a list does not
     let mut late = Subscriber::start(broker.port, "bcap/plant/cell1/+").await;
     late.find(|publish| {
         assert!(publish.topic != "bcap/plant/cell1/values" || !publish.retain, "a list is not retained");
@@ -261,7 +261,7 @@ async fn variables_without_a_reply_do_not_keep_the_others_from_being_read() {
     let Some(broker) = Mosquitto::open() else { return };
     let robot = Robot::start().await;
     let muted = Arc::new(AtomicBool::new(true));
-    // the second and the third of a batch: in the first scans nothing after them is read
+    // the second and the third of a batch: the first scans read no variable after them
     let port = muting_proxy(robot.address, &["I12", "I13"], &muted).await;
     let publish = "[[controller.publish]]\nnames = [\"I11-16\", \"pose\"]\ninterval_ms = 10";
     let text = config(broker.port, "", &[&robot], publish);

@@ -60,7 +60,7 @@ impl Recording {
         self.all(kind, |message| message.payload.time.abs_diff(now_ms()) < 60_000)
     }
 
-    /// Returns whether the numbers of a kind follow those of the messages before them.
+    /// Returns whether each sequence number of a kind follows the number of the previous message.
     fn follows(&self, kind: &str) -> bool {
         let numbered: Vec<_> = self.messages.iter().filter(|message| message.kind != "NDEATH").collect();
         let pairs = numbered.windows(2).filter(|pair| pair[1].kind == kind);
@@ -68,7 +68,7 @@ impl Recording {
             && pairs.clone().all(|pair| pair[1].payload.seq == pair[0].payload.seq.map(|seq| (seq + 1) % 256))
     }
 
-    /// Returns whether a kind comes after each of others has been sent.
+    /// Returns whether the first message of a kind follows the first message of each other kind.
     fn comes_after(&self, kind: &str, others: &[&str]) -> bool {
         let first = |kind: &str| self.messages.iter().position(|message| message.kind == kind);
         others.iter().all(|other| first(other).is_some() && first(other) < first(kind))

@@ -339,7 +339,7 @@ async fn births_data_deaths_and_rebirth() {
     one.restart().await;
     assert_eq!(named(&host.next("DBIRTH/edge1/cell1").await, "I1").value, Some(Field::Number(6)));
 
-    // a host asks for all births
+    // a host requests all births
     let rebirth = write("Node Control/Rebirth", now_ms(), 11, 14, 1);
     host.subscriber.publish("spBv1.0/plant/NCMD/edge1", rebirth).await;
     assert_eq!(named(&host.next("NBIRTH/edge1").await, "bdSeq").value, Some(bd_seq.clone()));
@@ -608,7 +608,7 @@ async fn nothing_is_published_while_the_primary_host_is_offline() {
     state(&host, false, 2000).await;
     assert_eq!(named(&host.next("NDEATH/edge1").await, "bdSeq").value, bd_seq);
     fleet.event(|event| *event == Event::BrokerDown { reason: "the primary host is offline".into() }).await;
-    // a state of before the last one comes late
+    // a state that is older than the last one arrives late
     state(&host, true, 1999).await;
     let before = fleet.metric(readings).await;
     robot.set(1, 5);

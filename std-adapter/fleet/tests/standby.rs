@@ -85,7 +85,7 @@ async fn a_process_whose_network_stalls_becomes_the_standby_and_sends_its_readin
     let second = Running::start(&config(broker.port, robot.address, FAST)).await;
     is_standby(&second).await;
     proxy.hold(true);
-    // read by the first process, which does not know yet that it is not the active one
+    // read by the first process, which has not yet detected that it is no longer active
     robot.set(1, 7);
     let before = first.metric("bcap_readings_total{controller=\"cell1\"}").await;
     while first.metric("bcap_readings_total{controller=\"cell1\"}").await < before + 2 {
@@ -195,7 +195,7 @@ async fn a_process_that_may_not_be_active_any_more_refuses_commands() {
 /// The program `bcap-fleet` in a separate process.
 struct Process {
     child: Child,
-    /// Whether it is active; `None` before it knows.
+    /// Whether it is active; `None` before its first event.
     role: watch::Receiver<Option<bool>>,
     _config: NamedTempFile,
 }
@@ -226,13 +226,13 @@ impl Process {
         Self { child, role, _config: file }
     }
 
-    /// Returns whether it is active; `None` before it knows.
+    /// Returns whether it is active; `None` before its first event.
     fn role(&self) -> Option<bool> {
         *self.role.borrow()
     }
 }
 
-/// Waits until one process is active and the other one is the standby, and swaps them if necessary.
+/// Waits until one process is active and the other is the standby, and swaps them if necessary.
 async fn settle(active: &mut Process, other: &mut Process) {
     let began = Instant::now();
     while [active.role(), other.role()] != [Some(true), Some(false)] {
@@ -287,7 +287,7 @@ async fn processes_that_are_killed_or_stopped_are_replaced() {
     for _ in 0..count {
         settle(&mut active, &mut other).await;
         if count > 1 {
-            // each restart is measured by itself: after 2 s the backoff begins anew
+            // each restart is measured separately: the backoff is reset after 2 s
             tokio::time::sleep(Duration::from_millis(2500)).await;
         }
         broker.stop();

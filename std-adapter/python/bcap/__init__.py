@@ -55,14 +55,14 @@ atexit.register(_bcap.end)
 
 
 class Controller:
-    """A session with a controller. Connects at once, and again when the connection is lost.
+    """A session with a controller. Connects immediately, and again when the connection is lost.
 
     :param address: "tcp:HOST[:PORT]", "udp:HOST[:PORT]", "serial:PATH[?baud=N]", or a virtual controller of bcap.sim()
     :param model: "rc8", "rc8a", "rc9", "cobotta" or "cobotta-pro"; by default "rc8", or the model of the virtual controller
     :param robot: the name of the robot; by default the first one that the controller lists
     :param timeout: the time limit of connecting, in seconds
     :param numpy: whether arrays of numbers are returned as numpy.ndarray instead of list
-    :raises NotConnected: if nothing answers
+    :raises NotConnected: if no controller answers
 
     Use it as a context manager, or close() it: that gives the arm back and ends the session.
     """
@@ -137,7 +137,7 @@ class Controller:
         return P(self._cell.position().wait())
 
     def examine(self) -> State:
-        """Reads what is wrong: the present errors, and what a person must do first. It changes nothing."""
+        """Reads the current errors, and what a person must do before a recovery. It changes nothing."""
         errors, obstacles = self._cell.examine().wait()
         return State([ErrorInfo(*error) for error in errors], obstacles)
 
@@ -394,7 +394,7 @@ class SlaveStream:
         self._finish(False)
 
     def stop(self) -> None:
-        """Ends the stream early: the robot slows down along its present direction."""
+        """Ends the stream early: the robot slows down along its current direction."""
         self._finish(True)
 
     def _finish(self, stop: bool) -> None:
@@ -418,7 +418,7 @@ class SlaveStream:
         except Error as failure:
             if error is None:
                 raise
-            # the exception under way goes on, and its traceback shows the failure
+            # the pending exception continues, and its traceback shows the failure
             failure.__context__, error.__context__ = error.__context__, failure
 
 
@@ -506,6 +506,6 @@ def sim(
     :param port: of 127.0.0.1, for TCP and UDP; 0 takes a free one
     :param scenario: the initial state and faults, as TOML (docs/virtual-controller.md)
     :param files: the folder with the controller's files; without one it has none
-    :param in_memory: without sockets, on a virtual clock that waits for nothing: Controller(bcap.sim(in_memory=True))
+    :param in_memory: without sockets, on a virtual clock that never waits: Controller(bcap.sim(in_memory=True))
     """
     return Sim(_bcap.Sim(model, port, scenario, files, in_memory))

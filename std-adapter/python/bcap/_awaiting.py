@@ -71,7 +71,7 @@ class Opening(Generic[_R]):
 
 
 def opening(call: Callable[[], _bcap.Call[_N]], made: Callable[[_N], _R]) -> Opening[_R]:
-    """Makes an object of the result of a call."""
+    """Creates an object from the result of a call."""
 
     async def open_it() -> _R:
         return made(await run(call()))

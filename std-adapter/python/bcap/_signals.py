@@ -1,6 +1,6 @@
 """SIGTERM and SIGHUP while an arm is taken.
 
-By default these signals end the process at once, so nothing would halt the robot. While an arm is taken, and unless the program
+By default these signals end the process immediately, so the robot would not be halted. While an arm is taken, and unless the program
 has its own handler, they raise SystemExit in the main thread instead, as sys.exit does: `with` blocks end, and the arm is given back.
 """
 

@@ -58,7 +58,7 @@ class ErrorInfo(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is wrong with a robot: the present errors, the first cause first, and what a person must do before a recovery."""
+    """The problems of a robot: the current errors, the first cause first, and what a person must do before a recovery."""
 
     errors: Sequence[ErrorInfo]
     obstacles: Sequence[str]

@@ -6,8 +6,8 @@
 ...         await arm.motor_on()
 ...         await arm.move("P1", speed=10)
 
-Cancelling a motion halts the robot. Calls of one controller are made one after another, also while the robot moves; many controllers
-need no threads. What opens an object is awaited (`cell = await bcap.aio.Controller(...)`) or used with `async with`.
+Cancelling a motion halts the robot. Calls of one controller are made in sequence, even while the robot moves; many controllers need
+no threads. A call that opens an object is awaited (`cell = await bcap.aio.Controller(...)`) or used with `async with`.
 """
 # written by tests/write_aio.py from __init__.py
 
@@ -83,7 +83,7 @@ class Controller(Session):
         return P(await run(self._cell.position()))
 
     async def examine(self) -> State:
-        """Reads what is wrong: the present errors, and what a person must do first. It changes nothing."""
+        """Reads the current errors, and what a person must do before a recovery. It changes nothing."""
         errors, obstacles = await run(self._cell.examine())
         return State([ErrorInfo(*error) for error in errors], obstacles)
 
@@ -304,7 +304,7 @@ class SlaveStream:
         await self._finish(False)
 
     async def stop(self) -> None:
-        """Ends the stream early: the robot slows down along its present direction."""
+        """Ends the stream early: the robot slows down along its current direction."""
         await self._finish(True)
 
     async def _finish(self, stop: bool) -> None:
@@ -328,7 +328,7 @@ class SlaveStream:
         except Error as failure:
             if error is None:
                 raise
-            # the exception under way goes on, and its traceback shows the failure
+            # the pending exception continues, and its traceback shows the failure
             failure.__context__, error.__context__ = error.__context__, failure
 
 

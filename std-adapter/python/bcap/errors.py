@@ -24,7 +24,7 @@ from typing import Optional
 class Error(Exception):
     """Any failure of a call or a motion. The code is None unless the controller gave one."""
 
-    #: whether the controller may have executed the call: a motion may be under way, or has moved the robot
+    #: whether the controller may have executed the call: a motion may be running, or may have moved the robot
     may_have_run: bool = False
 
     def __init__(
@@ -91,7 +91,7 @@ class NotConnected(Error):
 class NoReply(Error):
     """The outcome of a call or a stream is unknown: **the robot may be moving**.
 
-    There is no reply, or the connection was lost during a stream, or the controller has given the call up (E_TIMEOUT, in code).
+    There is no reply, or the connection was lost during a stream, or the controller has abandoned the call (E_TIMEOUT, in code).
     """
 
     may_have_run = True

@@ -23,7 +23,7 @@ pub(crate) struct Arm {
     given: watch::Sender<Giving>,
 }
 
-/// How far the arm is given back, which ends the calls of other threads.
+/// The progress of giving the arm back, which ends the calls of other threads.
 #[derive(Clone, Copy, PartialEq)]
 enum Giving {
     NotBegun,
@@ -72,7 +72,7 @@ impl Arm {
     }
 }
 
-/// Tells the calls of other threads how the arm was given back, also when that is cancelled.
+/// Notifies the calls of other threads how the arm was given back, even if that is cancelled.
 struct Giver {
     given: watch::Sender<Giving>,
     succeeded: bool,
@@ -106,7 +106,7 @@ impl Arm {
         Call::fallible(&self.home, self.run(move |arm| Box::pin(arm.select_work(number))))
     }
 
-    /// Makes motions without a stop between them, and waits for the end of the last one.
+    /// Makes motions without a stop between them, and waits for the end of the last motion.
     fn motions(&self, motions: Vec<Step<'_>>, timeout: f64) -> PyResult<Call> {
         let limit = seconds(timeout)?;
         let mut motions = motions.into_iter().map(Step::motion).collect::<PyResult<Vec<_>>>()?.into_iter();

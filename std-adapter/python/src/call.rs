@@ -35,7 +35,7 @@ pub(crate) struct Started {
 }
 
 impl Call {
-    /// Makes a call of a future. Dropping the future cancels it.
+    /// Creates a call from a future. Dropping the future cancels it.
     pub(crate) fn new<T>(home: &Arc<Home>, future: impl Future<Output = Result<T, Error>> + Send + 'static) -> Self
     where
         T: for<'py> IntoPyObject<'py> + Send + 'static,
@@ -43,7 +43,7 @@ impl Call {
         Self::fallible(home, async { Ok(future.await?) })
     }
 
-    /// Makes a call of a future, which may also fail without an error of the session.
+    /// Creates a call from a future, which may also fail without an error of the session.
     pub(crate) fn fallible<T>(
         home: &Arc<Home>,
         future: impl Future<Output = Result<T, Failure>> + Send + 'static,
@@ -126,7 +126,7 @@ impl Inbox {
 
     /// Takes the results: futures with a value, or with an exception.
     fn take(&self, py: Python<'_>) -> Vec<Settled> {
-        // it is not blocking, and there may be nothing
+        // the pipe does not block, and may be empty
         let _ = (&self.woken).read(&mut [0; 16]);
         let ended = mem::take(&mut *lock(&self.queue.ended));
         let settled = ended.into_iter().map(|(future, result)| match finish(py, result) {

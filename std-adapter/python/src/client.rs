@@ -109,7 +109,7 @@ impl Client {
     ///
     /// # Errors
     ///
-    /// The exception of a signal handler, which has run meanwhile. The session has ended, as after a signal during the call.
+    /// The exception of a signal handler that ran during the wait. The session has ended, as after a signal during the call.
     fn begin(&self) -> PyResult<CallPermit<'_>> {
         loop {
             if let Some(permit) = self.next_within(SIGNALS) {
@@ -232,7 +232,7 @@ impl Transport for Interruptible {
             let raised = Python::try_attach(|py| py.check_signals()).and_then(PyResult::err);
             if raised.is_some() || self.interrupt.is_ended.load(Relaxed) {
                 *lock(&self.interrupt.raised) = raised;
-                // not a kind that says that the controller has closed the connection: its session goes on until the drop
+                // not a kind that means that the controller has closed the connection: its session continues until the drop
                 return Err(io::Error::other("a signal has interrupted the call"));
             }
         }

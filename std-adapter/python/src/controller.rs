@@ -177,7 +177,7 @@ impl Controller {
         self.with_robot(|robot| async move { robot.prepare().await.map(|arm| Arm::new(home, arm)) })
     }
 
-    /// Opens a second session, which runs on a thread, so that nothing delays it.
+    /// Opens a second session, which runs on a separate thread, so that other calls do not delay it.
     fn stopper(&self) -> PyResult<Call> {
         let home = Home::shared()?;
         let (cell, network, settings) = (self.cell.clone(), self.network.clone(), self.settings.clone());

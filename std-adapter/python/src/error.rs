@@ -61,7 +61,7 @@ impl Failure {
 /// Returns the exception for an error.
 pub(crate) fn raise(py: Python<'_>, error: &Error) -> PyErr {
     let class = match error {
-        // the controller has given the call up, and may still execute it
+        // the controller has abandoned the call, and may still execute it
         Error::Refused { code: HResult::E_TIMEOUT, .. } => "NoReply",
         Error::Refused { .. } => "ControllerError",
         Error::NotRecovered(_) => "NotRecovered",

@@ -26,10 +26,10 @@ static SHARED: Mutex<Option<(u32, Runtime)>> = Mutex::new(None);
 /// The other runtimes, for the end of the interpreter.
 static DRIVERS: Mutex<Vec<(u32, Weak<Driver>)>> = Mutex::new(Vec::new());
 
-/// How long Python's signals wait at most.
+/// Maximum time that Python's signals wait.
 pub(crate) const SIGNALS: Duration = Duration::from_millis(20);
 
-/// How long after the last call the keeper takes over.
+/// Time after the last call until the keeper takes over.
 const IDLE: Duration = Duration::from_millis(10);
 
 /// Locks a mutex; no code that holds one leaves its value half changed.
@@ -50,7 +50,7 @@ pub(crate) struct Home {
 }
 
 impl Home {
-    /// Returns the shared runtime, which is started first, also in a forked process.
+    /// Returns the shared runtime; starts it first if necessary, even in a forked process.
     pub(crate) fn shared() -> PyResult<Arc<Self>> {
         let process = process::id();
         let mut shared = lock(&SHARED);
@@ -135,7 +135,7 @@ struct Driver {
     wanted: Notify,
 }
 
-/// Who runs the tasks.
+/// Determines which thread runs the tasks.
 #[derive(Default)]
 struct Turn {
     /// The calls that run, and the number of calls so far.
@@ -287,7 +287,7 @@ pub(crate) fn end(py: Python<'_>) {
     let process = process::id();
     let (shared, drivers) = (lock(&SHARED).take(), mem::take(&mut *lock(&DRIVERS)));
     py.detach(|| {
-        // those of another process have its threads and sockets
+        // drivers of another process have its threads and sockets
         let own = drivers.into_iter().filter(|(starter, _)| *starter == process);
         own.filter_map(|(_, driver)| driver.upgrade()).for_each(|driver| driver.end());
         match shared {

@@ -15,7 +15,7 @@ use tokio::sync::oneshot;
 use crate::controller::unknown;
 use crate::runtime::lock;
 
-/// A virtual controller on a port of this machine, or in memory with a clock that waits for nothing.
+/// A virtual controller on a port of this machine, or in memory with a clock that never waits.
 #[pyclass(frozen)]
 pub(crate) struct Sim {
     world: World,
@@ -164,7 +164,7 @@ fn serve(controller: Arc<Mutex<Controller>>, port: u16) -> PyResult<(u16, Servin
         let ended = runtime.block_on(server.run(async {
             let _ = stopped.await;
         }));
-        // a listening socket has failed: its clients see it
+        // a listening socket has failed: its clients detect that
         let _ = ended;
     })?;
     Ok((port, Serving { stop, thread }))

@@ -96,7 +96,7 @@ impl Stream {
         self.wanted.borrow().clone().map(cycle)
     }
 
-    /// Sends a pose, and waits until the next one is wanted; None if the stream has ended before.
+    /// Sends a pose, and waits until the next pose is wanted; None if the stream has ended before.
     fn step(&self, pose: Vec<f64>) -> PyResult<Call> {
         let pose = Pose::from_numbers(self.kind, &pose).ok_or_else(|| {
             PyValueError::new_err(format!("a pose {:?} does not have {} numbers", self.kind, pose.len()))
@@ -112,13 +112,13 @@ impl Stream {
         }))
     }
 
-    /// Ends the stream: after the last pose, or at once with a ramp. Returns the statistics.
+    /// Ends the stream: after the last pose, or immediately with a ramp. Returns the statistics.
     fn finish(&self, stop: bool) -> Call {
         let (poses, task) = (self.poses.clone(), Arc::clone(&self.task));
         Call::fallible(&self.home, async move {
             poses.send(if stop { Next::Stop } else { Next::Finish });
             let mut task = task.lock().await;
-            // if this call is cancelled, the next one waits for the same task
+            // if this call is cancelled, the next call waits for the same task
             let ended = ended(&poses, task.as_mut().ok_or(Error::Closed)?).await;
             *task = None;
             let Stats { cycles, late, refused, underflows, .. } = ended?;
@@ -131,7 +131,8 @@ fn cycle(Step { number, start, actual }: Step) -> (u32, Vec<f64>, Vec<f64>) {
     (number, start, actual)
 }
 
-/// A trajectory that blocks. The other tasks of the shared runtime go on; the tasks of a session wait for the end of its stream.
+/// A trajectory that blocks. The other tasks of the shared runtime continue; the tasks of a session wait for the end of its
+/// stream.
 struct Blocking<T>(T);
 
 impl<T: Trajectory> Trajectory for Blocking<T> {

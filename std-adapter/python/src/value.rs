@@ -78,12 +78,12 @@ pub(crate) fn from_python(object: &Bound<'_, PyAny>) -> PyResult<OwnedVariant> {
     value_of(object, true)
 }
 
-/// Returns the value of an object; `joins` tells whether `int` and `float` in a sequence become R8.
+/// Returns the value of an object; `joins` is whether `int` and `float` in a sequence become R8.
 ///
 /// # Errors
 ///
-/// `TypeError` for an object without a VARIANT, `OverflowError` for a number that fits none, `ValueError` for sequences that are nested
-/// too deeply.
+/// `TypeError` for an object without a VARIANT, `OverflowError` for a number that fits no type, `ValueError` for sequences that
+/// are nested too deeply.
 pub(crate) fn value_of(object: &Bound<'_, PyAny>, joins: bool) -> PyResult<OwnedVariant> {
     value_within(object, joins, MAX_DEPTH)
 }
@@ -94,7 +94,7 @@ fn value_within(object: &Bound<'_, PyAny>, joins: bool, depth: u8) -> PyResult<O
         return Ok(value);
     }
     let depth = depth.checked_sub(1).ok_or_else(too_deep)?;
-    // numpy's arrays and numbers, and those of the module `array`
+    // arrays and numbers of numpy, and of the module `array`
     if let Ok(plain) = object.call_method0("tolist") {
         return value_within(&plain, joins, depth);
     }

@@ -96,7 +96,7 @@ class Node:
 
 
 def dropped() -> None:
-    """The objects are in a cycle, while a stream holds the robot; the program goes on."""
+    """The objects are in a cycle, while a stream holds the robot; the program continues."""
     cell = bcap.Controller(ADDRESS)
     arm = cell.take_arm()
     arm.motor_on()

@@ -38,7 +38,7 @@ def test_cancelling_a_motion_halts(sim: bcap.Sim) -> None:
                 with pytest.raises(asyncio.TimeoutError):
                     await asyncio.wait_for(arm.move(ASIDE, speed=1), 0.3)
                 assert await asyncio.to_thread(eventually, lambda: not sim.moving)
-                # other calls go on while the robot moves
+                # other calls continue while the robot moves
                 await cell.execute("ClearError")
                 moving = asyncio.create_task(arm.move(ASIDE, speed=1))
                 assert await asyncio.to_thread(eventually, lambda: sim.moving)
@@ -105,7 +105,7 @@ def test_cancelling_the_end_of_a_stream_is_a_cancellation() -> None:
             streaming = asyncio.create_task(stream())
             while not (streams or streaming.done()):
                 await asyncio.sleep(0.01)
-            # until the end is under way
+            # until the end has begun
             await asyncio.sleep(0.1)
             streaming.cancel()
             with pytest.raises(asyncio.CancelledError):

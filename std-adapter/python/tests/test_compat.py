@@ -1,7 +1,7 @@
 """Scripts of the maker's Python client: call sequences of public programs, and programs in the style of public samples.
 
-The sequences are those of tests/drivers (its README has the format), played through the methods of BCAPClient on the model that
-each program is for.
+The sequences are from tests/drivers (its README describes the format). They are played through the methods of BCAPClient on the model
+that each program is for.
 """
 
 import ctypes
@@ -188,7 +188,7 @@ def test_all_functions_have_the_makers_arguments() -> None:
     assert arguments["message_reply"] == "(self, handle, data)"
 
 
-#: a program whose second thread moves the robot; `%s` is what its main thread does meanwhile
+#: a program whose second thread moves the robot; `%s` is the code of its main thread
 MOVED_BY_A_THREAD = """
 import os, signal, sys, threading
 from bcap.compat import bcapclient

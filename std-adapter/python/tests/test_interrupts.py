@@ -40,7 +40,7 @@ def interrupted(kind: str, delay: float) -> Tuple[bool, bool]:
         codes = KINDS.get(kind, {-9})
         assert program.returncode in codes, (kind, delay, program.returncode, output)
         if kind != "cycle":
-            # a session that has ended leaves nothing to wait for, except that the controller notices a closed connection
+            # after the end of a session, only the controller's detection of the closed connection takes time
             released = eventually(lambda: at_rest(sim), 5)
         moved = abs(sim.joints[0]) > 0.001
         if released:
@@ -62,7 +62,7 @@ def test_200_random_interrupts_release_the_robot() -> None:
         ended = list(pool.map(lambda case: interrupted(*case), cases))
     left = [case for case, (released, _) in zip(cases, ended) if not released]
     assert left == []
-    # the interrupts hit motions, too
+    # the interrupts also hit motions
     assert sum(moved for _, moved in ended) > 10
 
 

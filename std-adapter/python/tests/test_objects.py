@@ -169,9 +169,9 @@ def test_the_end_of_the_block_ends_the_motion_of_another_thread(cell: bcap.Contr
         arm.motor_on()
         moving = pool.submit(arm.move, ASIDE, speed=1)
         assert eventually(lambda: sim.moving)
-        # so many that the lock of the arm reaches some before the news that the arm is given back
+        # enough calls that some get the lock of the arm before they are notified that the arm is given back
         waiting = [pool.submit(arm.set_speed, 50) for _ in range(16)]
-        # other calls go on meanwhile
+        # other calls continue in the meantime
         cell["I1"] = 3
         time.sleep(0.1)
     assert at_rest(sim)

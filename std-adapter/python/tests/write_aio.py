@@ -16,8 +16,8 @@ HEAD = '''\
 ...         await arm.motor_on()
 ...         await arm.move("P1", speed=10)
 
-Cancelling a motion halts the robot. Calls of one controller are made one after another, also while the robot moves; many controllers
-need no threads. What opens an object is awaited (`cell = await bcap.aio.Controller(...)`) or used with `async with`.
+Cancelling a motion halts the robot. Calls of one controller are made in sequence, even while the robot moves; many controllers need
+no threads. A call that opens an object is awaited (`cell = await bcap.aio.Controller(...)`) or used with `async with`.
 """
 # written by tests/write_aio.py from __init__.py
 

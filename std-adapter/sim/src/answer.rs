@@ -14,7 +14,7 @@ pub(crate) enum Answer {
     Done,
     /// `S_OK` with a value.
     Value(OwnedVariant),
-    /// A code that refuses nothing: another success code than `S_OK`, or the failure of an event that was waited for.
+    /// A code that is not a refusal: a success code other than `S_OK`, or the failure of an awaited event.
     Code(HResult),
     /// A success code with a value.
     Coded(HResult, OwnedVariant),
@@ -44,7 +44,7 @@ impl Answer {
         Self::of(list.into_iter().map(Into::into).collect::<Vec<String>>())
     }
 
-    /// Makes `S_OK`, or `S_FALSE` for a call that had nothing to do.
+    /// Creates `S_OK`, or `S_FALSE` for a call that had nothing to do.
     pub(crate) fn done_if(done: bool) -> Self {
         if done { Self::Done } else { Self::Code(HResult::S_FALSE) }
     }

@@ -27,13 +27,13 @@
 //! of the controller is an error, which must be cleared.
 //!
 //! The call answers when the motion has ended: with `S_OK`, or with `E_MOTION_STOPPED` after Halt, the end of Auto mode, the
-//! emergency stop, the end of the motor, or, 20 ms later, an error. `E_MOTION_STOPPED` is an error of
-//! the client that moved the robot, also after `NEXT` and after the end of its connection. After a pass the call answers
-//! when the motion begins to brake. With the option `NEXT` it answers at once. Further options are `SPEED=` (or `S=`),
-//! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`), and `TIME=`, which has
-//! no effect, because its unit is not documented; another option is refused. A wrong argument of a motion is the error
-//! [`WRONG_ARGUMENT`](crate::codes::WRONG_ARGUMENT) of the controller. A motion that the arm cannot
-//! make is an error of the controller; its [codes](crate::codes) say why.
+//! emergency stop, switching the motor off, or, 20 ms later, an error. `E_MOTION_STOPPED` is an error of the client that moved
+//! the robot, even after `NEXT` and after the end of its connection. After a pass the call answers when the motion begins to
+//! brake. With the option `NEXT` it answers immediately. Further options are `SPEED=` (or `S=`), `ACCEL=` and `DECEL=`, in
+//! percent of the internal values, each a number or a variable (`SPEED=F2`), and `TIME=`, which has no effect, because its unit
+//! is not documented; any other option is refused. A wrong argument of a motion is the error
+//! [`WRONG_ARGUMENT`](crate::codes::WRONG_ARGUMENT) of the controller. A motion that the arm cannot make is an error of the
+//! controller; its [codes](crate::codes) say why.
 //!
 //! Approach ends before its pose, and Depart before the current pose, by the length in mm against the approach vector,
 //! the z of the flange. In an arc the flange turns evenly from the start orientation to the end orientation; the
@@ -52,16 +52,16 @@
 //! | TakeArm                         | \[group, keep\] or nothing  | EMPTY; `E_ARM_NOT_TAKEN` while another has it    |
 //! | GiveArm                         | -                           | EMPTY, when the arm is at rest; `S_FALSE` without it |
 //! | TakeArmState                    | group or -1                 | I4: 1 if this client owns it, 0 if not           |
-//! | Motor                           | \[state, no wait\] or state | EMPTY when the motor is on; at once with no wait |
+//! | Motor                           | \[state, no wait\] or state | EMPTY when the motor is on; immediately with no wait |
 //! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel: -1 keeps, -2 speed² / 100   |
 //! | DriveEx, DriveAEx               | \[pairs, option\] or pairs  | EMPTY; turns axes by, or to, a value             |
 //! | Approach                        | \[1 or 2, pose, length\]     | EMPTY; to a pose before this one                 |
-//! | Depart                          | \[1 or 2, length\]           | EMPTY; away from the current pose                |
+//! | Depart                          | \[1 or 2, length\]          | EMPTY; away from the current pose                |
 //! | RotateH                         | angle or \[angle, option\]   | EMPTY; turns the tool in place                   |
 //! | Draw                            | \[1 or 2, vector\]          | EMPTY; by a vector in work coordinates           |
 //! | ArchMove                        | \[pose, height, rise, fall\] | EMPTY; half a sine above the line, height in z of the work |
 //! | Arrive                          | percent                     | EMPTY, when the motion has covered this part     |
-//! | MotionSkip                      | \[group, mode\] or nothing  | EMPTY at once; `S_FALSE` without a motion        |
+//! | MotionSkip                      | \[group, mode\] or nothing  | EMPTY immediately; `S_FALSE` without a motion    |
 //! | MotionComplete                  | \[group, mode\] or nothing  | BOOL: 0 commands complete, 1 robot at rest       |
 //! | CurPos, DestPos, HighCurPos     | -                           | R8\[7\]: X Y Z RX RY RZ Fig                      |
 //! | CurJnt, DestJnt, HighCurJnt     | -                           | R8\[8\]: J1 to J8; 0 for an axis that it lacks   |
@@ -119,21 +119,21 @@
 //!
 //! # Queue and pass
 //!
-//! A motion of the client whose motion is under way joins a queue of at most 16 motions, the one under way included. It
-//! is planned from the end of the queue, and refused at once if that is impossible. A motion of another client, one beyond
-//! the 16 and one while Halt brakes are refused with `E_ROBOTISBUSY`.
+//! While a motion runs, further motions of its client join a queue of at most 16 motions, including the running one. A motion
+//! is planned from the end of the queue, and refused immediately if that is impossible. A motion of another client, a 17th
+//! motion and a motion while Halt brakes are refused with `E_ROBOTISBUSY`.
 //!
 //! `@0` and `@E` come to rest at the pose. With `@P` the next motion begins while this one brakes, and the path passes
 //! the pose at a distance; with `@n` it begins at n mm from the pose, but not before the motion brakes. Without a next
 //! motion, a pass motion also ends at its pose. While two motions move, no axis exceeds its speed or leaves its range.
 //!
-//! Halt, errors and the end of Auto mode empty the queue. Hold and Unhold keep it. MotionSkip brakes the motion under
-//! way, whose call answers `S_OK`; the queue continues from the place where the arm comes to rest.
+//! Halt, errors and the end of Auto mode empty the queue. Hold and Unhold keep it. MotionSkip brakes the running motion, whose
+//! call answers `S_OK`; the queue continues from the place where the arm comes to rest.
 //!
-//! TakeArm while an error is present answers `E_ERROR_PRESENT`, of another group than the one that the client owns 0x83500042, of an
-//! undefined group 0x83500003, and with another second number than 0 or 1 0x83503010. GiveArm waits for the end of the motions. The groups 0 to 31
-//! of TakeArm differ in extended joints, which this model always moves.
-//! Commands of real controllers that this model lacks answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
+//! TakeArm answers `E_ERROR_PRESENT` while an error is present, 0x83500042 for a group other than the one that the client owns,
+//! 0x83500003 for an undefined group, and 0x83503010 for a second number other than 0 or 1. GiveArm waits for the end of the
+//! motions. The groups 0 to 31 of TakeArm differ in extended joints, which this model always moves. Commands of real
+//! controllers that this model does not implement answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 
 mod area_commands;
 mod call;
@@ -234,7 +234,7 @@ impl Arm {
         self.trace.next(&config.recorder, until, rest)
     }
 
-    /// Records the point of the trace whose time has come.
+    /// Records a point of the trace, if its time has been reached.
     pub(crate) fn take_point(&mut self, config: &Config, at: Instant) {
         let point = self.point(at);
         let rest = self.is_at_rest();
@@ -356,7 +356,7 @@ impl Arm {
         self.robot.set_owner(owner.map(|peer| (peer, 0)));
     }
 
-    /// Switches the motor on at once, prepared or not.
+    /// Switches the motor on immediately, prepared or not.
     pub(crate) fn force_on(&mut self) {
         self.preparation.complete();
         self.robot.force_on();

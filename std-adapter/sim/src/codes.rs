@@ -1,7 +1,7 @@
 //! The codes of the controller's refusals that have no constant in [`HResult`].
 //!
-//! "seen" is the error log of a real RC8A with a VS087A4, in a public repository (jtcass01/denso_api); "listed" is the list
-//! of error codes of the maker, in another one (nkawa/Denso_CobottaPro900_MQTT_Control).
+//! "seen" is the error log of a real RC8A with a VS087A4, in a public repository (jtcass01/denso_api); "listed" is the maker's
+//! list of error codes, in the repository nkawa/Denso_CobottaPro900_MQTT_Control.
 
 use bcap_core::hresult::HResult;
 

@@ -9,11 +9,11 @@
 //! | Command_Execute 1                        | starts it and answers; `E_CAO_CMD_EXECUTE` while it runs        |
 //! | Command_GetState                         | I4: 0 not executed yet, 1 running, 2 done, 3 failed, cancelled  |
 //! | Command_GetResult                        | the result, or the code with which it failed; initially EMPTY   |
-//! | Command_PutTimeout, -GetTimeout          | I4, ms that Execute 0 waits, then `E_TIMEOUT`; 0 is no limit    |
+//! | Command_PutTimeout, -GetTimeout          | I4, ms that Execute 0 waits, then `E_TIMEOUT`; 0: no limit      |
 //! | Command_Cancel                           | stops the motor or the hand; `S_FALSE` when nothing runs        |
 //!
 //! Motor, the motions of a COBOTTA's hand, and KillAll, SuspendAll and StepStopAll with 1 take time; all other commands are
-//! done at once. After Cancel the tasks stop all the same. The numbers of the states and of the modes are decisions of this
+//! done immediately. After Cancel the tasks stop nevertheless. The numbers of the states and of the modes are decisions of this
 //! model: no public client uses command objects.
 
 use std::time::Duration;

@@ -67,7 +67,7 @@ pub enum Permission {
     ReadWrite,
     /// Writing a variable answers `E_CAO_NOT_WRITABLE`, and any other call that writes or moves `E_ACCESSDENIED`.
     ReadOnly,
-    /// Reading answers `E_ACCESSDENIED`, too. A client can open and release objects.
+    /// Reading also answers `E_ACCESSDENIED`. A client can open and release objects.
     None,
 }
 
@@ -132,7 +132,7 @@ pub struct Config {
     /// The model. The other settings begin with its values.
     pub model: Model,
     /// Whether it tolerates requests that a real controller may refuse: the provider of another model, and unknown
-    /// options. It tells `observer` each text that it tolerates.
+    /// options. It passes each tolerated text to `observer`.
     pub lenient: bool,
     /// The numbers of user variables.
     pub sizes: Sizes,
@@ -148,9 +148,9 @@ pub struct Config {
     pub geometry: Geometry,
     /// The initial position, which is also the target of GoHome: J1 to J6 in degrees.
     pub home: Joints,
-    /// The time that the motor takes to come on.
+    /// The time that the motor takes to switch on.
     pub motor_on_delay: Duration,
-    /// Whether writing true to `@SERVO_ON` answers when the motor is on. Otherwise it answers at once, and the motor is on
+    /// Whether writing true to `@SERVO_ON` answers when the motor is on. Otherwise it answers immediately, and the motor is on
     /// `motor_on_delay` later.
     pub servo_on_waits: bool,
     /// The initial internal speed, in percent.
@@ -237,7 +237,7 @@ impl Config {
         self
     }
 
-    /// Refuses an unknown option, or ignores it and tells the observer.
+    /// Refuses an unknown option, or ignores it and notifies the observer.
     pub(crate) fn unknown_option(&self, function: &str, key: &str) -> Result<(), HResult> {
         if !self.lenient {
             return Err(HResult::E_INVALIDARG);
@@ -246,13 +246,13 @@ impl Config {
         Ok(())
     }
 
-    /// Checks the provider that a client names, perhaps with the address of the controller.
+    /// Checks the provider that a client names, optionally with the address of the controller.
     pub(crate) fn check_provider(&self, name: &str, has_server: bool) -> Result<(), HResult> {
         let own = self.model.provider.as_str();
         if own.eq_ignore_ascii_case(name) {
             return Ok(());
         }
-        // the provider of a PC: a COBOTTA connects it if it is told the address
+        // the provider on PCs: a COBOTTA accepts it if the client names the address
         if PC_PROVIDER.eq_ignore_ascii_case(name) {
             return if has_server { Ok(()) } else { Err(HResult::E_INVALIDARG) };
         }
@@ -267,7 +267,7 @@ impl Config {
         Ok(())
     }
 
-    /// Returns whether the version is this one or a later one; a version without numbers is.
+    /// Returns whether the version is at least this one; a version without numbers always is.
     pub(crate) fn version_is_from(&self, first: &[u32]) -> bool {
         let numbers = self.version.split('.').map(|number| number.trim().parse().unwrap_or(u32::MAX));
         numbers.ge(first.iter().copied())

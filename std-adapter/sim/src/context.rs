@@ -14,7 +14,7 @@ use crate::rules::Rule;
 use crate::variables::Variables;
 use crate::waits::Waits;
 
-/// The switches that a person sets, which decide which calls are refused, and the warnings that a scenario sets.
+/// The switches that a person sets, which determine the calls that are refused, and the warnings that a scenario sets.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Panel {
     pub(crate) mode: Mode,

@@ -36,14 +36,14 @@ use crate::trace::TracePoint;
 use crate::variables::{Family, Variables};
 use crate::waits::{Wait, Waits};
 
-/// The longest interval at which a waiting call is polled, so that an event from outside (the emergency stop, an
-/// injected error) ends its wait soon.
+/// Maximum interval at which a waiting call is polled, so that an event from outside (the emergency stop, an injected error)
+/// ends its wait soon.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// A virtual controller.
 ///
 /// It has no clock and no socket: every call and every event brings the time with it, and the same calls at the same
-/// times give the same answers. A time before one already seen counts as that one.
+/// times give the same answers. A time earlier than the latest time counts as the latest.
 #[derive(Clone, Debug)]
 pub struct Controller {
     shared: Shared,
@@ -119,7 +119,7 @@ impl Controller {
         }
     }
 
-    /// Advances the controller to `now`: motions, Slave Mode and tasks continue, the motor comes on.
+    /// Advances the controller to `now`: motions, Slave Mode and tasks continue, the motor switches on.
     pub fn advance(&mut self, now: Instant) {
         let now = self.shared.now.max(now);
         while let Some((at, effect)) = self.scenario.next_effect(now) {
@@ -256,7 +256,7 @@ impl Controller {
 
     /// Applies the scenario's fault to the bytes of a reply, and says whether to send them.
     ///
-    /// The caller asks once about each frame: the reply of a call, or `S_EXECUTING`.
+    /// The caller calls it once for each frame: the reply of a call, or `S_EXECUTING`.
     ///
     /// # Examples
     ///
@@ -275,8 +275,9 @@ impl Controller {
 
     /// Presses or releases the emergency stop.
     ///
-    /// Pressed, it switches the motor off and stops motion and tasks at once. It is no error itself, but commands are refused
-    /// with [`EMERGENCY_STOP`](crate::codes::EMERGENCY_STOP), and it ends Slave Mode with `E_COMMAND_POSITION_GEN_STOPPED`.
+    /// When pressed, it switches the motor off and stops motion and tasks immediately. It is not an error itself, but commands
+    /// are refused with [`EMERGENCY_STOP`](crate::codes::EMERGENCY_STOP), and it ends Slave Mode with
+    /// `E_COMMAND_POSITION_GEN_STOPPED`.
     pub fn emergency_stop(&mut self, pressed: bool, now: Instant) {
         self.advance(now);
         self.press_emergency_stop(pressed);
@@ -459,7 +460,7 @@ impl Controller {
         self.arm.robot().axes(self.shared.now)
     }
 
-    /// Returns where the arm is at the current time: the axes and the tool centre point.
+    /// Returns the position of the arm at the current time: the axes and the tool centre point.
     #[must_use]
     pub fn point(&self) -> TracePoint {
         self.arm.point(self.shared.now)

@@ -53,8 +53,8 @@ pub(crate) struct Errors {
 }
 
 impl Errors {
-    /// Enters an error into the log, and into the list of current errors. That list has a refusal of clients once. Returns
-    /// whether it is new there.
+    /// Enters an error into the log, and into the list of current errors, which contains each refusal of a client only once.
+    /// Returns whether the error is new in the list.
     pub(crate) fn enter(&mut self, occurrence: Occurrence) -> bool {
         let code = occurrence.error.code;
         let again = occurrence.origin == Origin::Client && self.has(code);

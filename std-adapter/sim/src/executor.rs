@@ -38,7 +38,7 @@ impl Executor {
 }
 
 impl Default for Executor {
-    /// Runs each job at once, within the call.
+    /// Runs each job immediately, within the call.
     fn default() -> Self {
         Self::new(|job| job())
     }

@@ -2,10 +2,10 @@
 //!
 //! The protocol carries no text with a code. So GetErrorDescription of that code ends with the reason, and an
 //! [`Observer`] receives it too. The model keeps one reason for each code, from the last call of any client, because
-//! drivers ask for descriptions over another session than the refused one.
+//! drivers query descriptions over a session other than the refused one.
 //!
-//! The server refuses a call whose arguments do not have the number or the types of its function, before it reaches the model.
-//! The reason names the argument.
+//! The server refuses a call with a wrong number or wrong types of arguments before it reaches the model. The reason names the
+//! argument.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
@@ -90,7 +90,7 @@ const OBJECT: &str = "name BSTR; option BSTR: @IfNotMember";
 const FILE_NAME: &str = "name BSTR: a path of at most 32 parts without control characters and < > : \" | ? *; option \
                          BSTR: @Create=, @IfNotMember";
 
-/// Returns whether a code says that an argument is refused.
+/// Returns whether a code means that an argument is refused.
 pub(crate) fn is_of_argument(code: HResult) -> bool {
     CODES.contains(&code)
 }

@@ -7,7 +7,7 @@
 //! |------------------------------------------|----------------------------------------------------------------------|
 //! | Controller_GetFile, File_GetFile         | opens it; `@Create=1` makes it, or a folder with a final `\`; 2 only a new one |
 //! | ..._GetFileNames                         | BSTR array, in order; folders end with `\`                           |
-//! | File_GetValue                            | BSTR; a UI1 array when the bytes are no UTF-8                        |
+//! | File_GetValue                            | BSTR; a UI1 array if the bytes are not UTF-8                         |
 //! | File_PutValue                            | writes BSTR as UTF-8, or a UI1 array as it is                        |
 //! | File_Copy, File_Move                     | to a path from the root; with a final `\` into that folder           |
 //! | File_Delete                              | deletes a file, or a folder that is empty                            |
@@ -32,7 +32,7 @@
 //! # Blocking
 //!
 //! A file system may block: a network drive, a full disk. So the model hands a file job to an [`Executor`], and the call
-//! waits for its end. The default executor does the job at once, within the call; a server should provide an executor
+//! waits for its end. The default executor does the job immediately, within the call; a server should provide an executor
 //! with its own thread. If the executor drops the job, the call answers `E_BUSY_PROC`.
 
 mod job;

@@ -3,8 +3,8 @@
 //! | Controller_Execute, COBOTTA        | effect                                                |
 //! |------------------------------------|-------------------------------------------------------|
 //! | HandMoveH \[force, close\]         | closes or opens; answers when the fingers are at rest |
-//! | HandMoveA \[place, speed\]         | moves to a place, 0 to 30 mm; HandMoveA and HandMoveH accept a third element `"Next"`, and answer at once then |
-//! | HandMoveR \[way, speed\]           | moves by so many mm; a negative way closes            |
+//! | HandMoveA \[place, speed\]         | moves to a place, 0 to 30 mm; HandMoveA and HandMoveH accept a third element `"Next"`, and then answer immediately |
+//! | HandMoveR \[way, speed\]           | moves by a distance in mm; a negative distance closes |
 //! | HandMoveAH \[place, speed, force\] | moves to a place; there is nothing to grip on the way |
 //! | HandMoveVH \[power, on\]           | switches suction, of 0 to 100 percent, on or off      |
 //! | HandHoldState                      | BOOL: always false, there is nothing to grip          |
@@ -33,9 +33,9 @@
 //! [`SPEED`]. A force of a COBOTTA is 6 to 20 N; HandMoveH moves at a quarter of [`SPEED`]. There is one board, number 0. A move
 //! before Org, or with the motor of the hand off, is refused with 0x83585200, the code of such states.
 //!
-//! To move the hand needs Auto mode, the executable token and no error. While it moves, another motion of it is refused
-//! with `E_ROBOTISBUSY`. An error stops it at once, as does the end of the client that moves it. Numbers out of range
-//! are `E_INVALIDARG`. Slave Mode allows HandMoveA, and no other command of a hand.
+//! Moving the hand requires Auto mode, the executable token and no error. While it moves, further motions of the hand are
+//! refused with `E_ROBOTISBUSY`. An error stops it immediately, as does the end of the session of the client that moves it.
+//! Numbers out of range are `E_INVALIDARG`. Of the hand's commands, Slave Mode allows only HandMoveA.
 
 use std::time::Duration;
 
@@ -194,7 +194,7 @@ pub(crate) struct Hand {
     suction: bool,
     /// The motor of an electric hand.
     motor: bool,
-    /// An electric hand knows its origin.
+    /// An electric hand has found its origin.
     origin: bool,
     /// The zone of the last MoveZH, in mm.
     zone: Option<(f64, f64)>,
@@ -260,7 +260,7 @@ impl Hand {
         }
     }
 
-    /// Executes HandMoveA, `[place, speed]`, perhaps with `"Next"`.
+    /// Executes HandMoveA, `[place, speed]`, optionally with `"Next"`.
     pub(crate) fn move_absolute(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
         let ((place, percent), next) = pair_and_next(param)?;
         Ok(without_wait(self.move_to(ctx, place, percent)?, next))
@@ -272,7 +272,7 @@ impl Hand {
         self.move_to(ctx, self.position(ctx.now) + way, percent)
     }
 
-    /// Executes HandMoveH, `[force, close]`, perhaps with `"Next"`.
+    /// Executes HandMoveH, `[force, close]`, optionally with `"Next"`.
     pub(crate) fn grip(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
         let ((force, closes), next) = pair_and_next(param)?;
         if !FORCES.contains(&force) {

@@ -4,12 +4,12 @@
 //! |---|---|---|---|---|---|
 //! | 0 | a notice, in the log only | continues | stays | continue | nothing to clear |
 //! | 1 | a refused call | continues | stays | continue | yes |
-//! | 2 | a limit of manual operation | stops at once | stays | suspended | yes |
-//! | 3 | an error of a motion | stops at once | off | reset | yes |
-//! | 4 | an error of speed, current or Slave Mode | stops at once | off | reset | yes |
-//! | 5 | a fault of the controller | stops at once | off | reset | no |
+//! | 2 | a limit of manual operation | stops immediately | stays | suspended | yes |
+//! | 3 | an error of a motion | stops immediately | off | reset | yes |
+//! | 4 | an error of speed, current or Slave Mode | stops immediately | off | reset | yes |
+//! | 5 | a fault of the controller | stops immediately | off | reset | no |
 //!
-//! Some codes of higher levels only refuse a call; their effects are those of level 1. A full buffer of Slave Mode is a notice.
+//! Some codes of higher levels only refuse a call, and have the effects of level 1. A full buffer of Slave Mode is a notice.
 
 use std::ops::RangeInclusive;
 
@@ -28,7 +28,7 @@ pub(crate) enum TaskStop {
 pub(crate) struct Effects {
     /// It is in the list of current errors until ClearError.
     pub(crate) is_present: bool,
-    /// Motions and Slave Mode stop at once.
+    /// Motions and Slave Mode stop immediately.
     pub(crate) stops: bool,
     pub(crate) motor_off: bool,
     pub(crate) tasks: TaskStop,

@@ -21,13 +21,12 @@
 //! * Logs of errors, of operations and of positions.
 //! * The emergency stop, the mode switch, the executable token and errors, set by a test.
 //! * Faults of the controller and of the wire, set by a scenario.
-//! * [`memory`]: connections without sockets, on a clock that waits for nothing, for tests of drivers.
+//! * [`memory`]: connections without sockets and a clock that never waits, for tests of drivers.
 //!
 //! # What answers `E_NOTIMPL`
 //!
 //! Motions of two robots, force control, and the calculator of paths; `docs/virtual-controller.md` has the whole table. A
-//! command that no controller is known to have answers `E_INVALID_CMD_NAME`. A call that answers `S_OK` has had its
-//! effect.
+//! command that no known controller has answers `E_INVALID_CMD_NAME`. A call that answers `S_OK` has had its effect.
 //!
 //! # Decisions of this model, where the manuals are silent
 //!

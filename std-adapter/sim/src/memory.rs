@@ -5,8 +5,8 @@
 //!  another  ─► Wire ─┘
 //! ```
 //!
-//! A [`Wire`] is a transport of `bcap_core::io`, blocking and asynchronous. The clock stands still until a client waits,
-//! then jumps to the next event. So a motion of eight seconds takes none, and every run of a test is the same.
+//! A [`Wire`] is a transport of `bcap_core::io`, blocking and asynchronous. The clock stops until a client waits, then jumps to
+//! the next event. So a motion of eight seconds takes no real time, and every run of a test is the same.
 
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -120,7 +120,7 @@ impl std::ops::DerefMut for Guard<'_> {
     }
 }
 
-/// Locks a world; a test that has panicked meanwhile leaves the controller as it was.
+/// Locks a world; a test that panicked while it held the lock leaves the controller as it was.
 fn lock(world: &Mutex<World>) -> MutexGuard<'_, World> {
     world.lock().unwrap_or_else(PoisonError::into_inner)
 }

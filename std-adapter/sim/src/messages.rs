@@ -15,7 +15,7 @@
 //! | Message_GetSerialNumber       | I4, from 1, for each client          | likewise                               |
 //! | Message_GetSource             | BSTR, the task, or `@TYPE`           | likewise                               |
 //! | Message_GetDestination        | BSTR, empty                          | likewise                               |
-//! | Message_Reply                 | `S_FALSE`: no message asks for a reply | likewise                             |
+//! | Message_Reply                 | `S_FALSE`: no message needs a reply  | likewise                               |
 //! | Message_Clear                 | `S_OK`                               | likewise                               |
 //!
 //! A real controller sends errors and changes of state (RC8 provider guide, table 3-1); the guide has no numbers of messages.

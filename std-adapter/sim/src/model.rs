@@ -1,13 +1,13 @@
 //! The models of controllers, as data files.
 //!
-//! Five are built in ([`Profile`]); their files in `std-adapter/sim/models` say where each value comes from. A copy of such a
-//! file, changed, is another model: [`Model::parse`], `bcap sim --model FILE.toml`. All keys are required
-//! except as named below, and unknown ones are refused.
+//! Five are built in ([`Profile`]); their files in `std-adapter/sim/models` name the source of each value. A copy of such a
+//! file, changed, is another model: [`Model::parse`], `bcap sim --model FILE.toml`. All keys are required except as named
+//! below, and unknown ones are refused.
 //!
 //! | section       | content                                                                              |
 //! |---------------|--------------------------------------------------------------------------------------|
 //! | -             | name, `type` (`@TYPE`; the name if it is absent), provider, version, type and name of the robot, `motor_on_ms` (300 if it is absent), RAC |
-//! | `[functions]` | the commands that exist besides those of all models                                  |
+//! | `[functions]` | the commands in addition to the commands of all models                               |
 //! | `[slave]`     | the parts of the formats of Slave Mode, and which IO they are                        |
 //! | `[variables]` | the number of variables of each kind, with the IO                                    |
 //! | `[arm]`       | its dimensions ([`kinematics`](crate::kinematics)), home position, ranges and speeds |
@@ -32,7 +32,7 @@ use self::error::{Wrong, located, text};
 use crate::kinematics::{Geometry, Joints};
 use crate::variables::Sizes;
 
-/// How long the motor takes to come on; a decision.
+/// The time that the motor takes to switch on; a decision.
 const MOTOR_ON: Duration = Duration::from_millis(300);
 
 /// A model of controller that is built in.
@@ -118,11 +118,11 @@ pub struct Model {
     pub robot_type: String,
     /// The robot's name.
     pub arm_name: String,
-    /// How long the motor takes to come on: the key `motor_on_ms`, or 300 ms.
+    /// The time that the motor takes to switch on: the key `motor_on_ms`, or 300 ms.
     pub motor_on: Duration,
-    /// Whether it has a server of RAC. A program that serves a [`Controller`](crate::Controller) decides by it.
+    /// Whether it has a RAC server. A program that serves a [`Controller`](crate::Controller) serves RAC only if it does.
     pub rac: bool,
-    /// The commands that exist besides those of all models.
+    /// The commands that exist in addition to the commands of all models.
     pub functions: Functions,
     /// The formats of Slave Mode.
     pub formats: SlaveFormats,
@@ -238,7 +238,7 @@ struct SlaveEntry {
     user_io: Spanned<u16>,
 }
 
-/// The IO of a part, with the last one of each range.
+/// The IO of a part; the ranges include their last IO.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct IoEntry {

@@ -62,7 +62,7 @@ impl Ramp {
         Self { begin, place, speed, spans: [(speed / decel, -decel), (0.0, 0.0), (0.0, 0.0)] }
     }
 
-    /// Stands at the beginning of a path; a path without length has only its end.
+    /// Rests at the beginning of a path; a path without length has only its end.
     fn still(begin: Instant, path: &Path) -> Self {
         let place = if path.full_speed.is_finite() { 0.0 } else { 1.0 };
         Self { begin, place, speed: 0.0, spans: [(0.0, 0.0); 3] }
@@ -112,7 +112,7 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// Creates a motion that stands at the beginning of its path.
+    /// Creates a motion at rest at the beginning of its path.
     pub(crate) fn new(id: u64, peer: PeerId, path: Path, rates: Rates, now: Instant) -> Self {
         let ramp = Ramp::still(now, &path);
         Self { id, peer, route: None, pass: Pass::Stop, pass_time: now, path, rates, ramp }
@@ -126,7 +126,7 @@ impl Motion {
         Self { ramp: Ramp::brake(now, 0.0, speed, speed * speed / 2.0), ..Self::new(id, peer, path, rates, now) }
     }
 
-    /// Replaces the path by one from another position, and stands at its beginning.
+    /// Replaces the path by one from another position, at rest at its beginning.
     pub(crate) fn replace(&mut self, path: Path, now: Instant) {
         self.ramp = Ramp::still(now, &path);
         self.path = path;
@@ -171,7 +171,7 @@ impl Motion {
         self.ramp.end()
     }
 
-    /// Moves to the end of the path, from rest or from the current speed.
+    /// Plans to move to the end of the path, from rest or from the current speed.
     pub(crate) fn run(&mut self, now: Instant) {
         let (place, speed) = self.ramp.at(now);
         let full = self.path.full_speed;
@@ -206,7 +206,7 @@ impl Motion {
                 let place = |axes: &Axes| self.path.arm.forward(&six(axes));
                 let end = place(&self.destination());
                 let far = |at: u64| place(&self.axes(Instant::from_micros(at))).distance(&end).0 > distance;
-                // bisection, because the flange comes nearer while the motion brakes
+                // bisection, because the distance of the flange decreases while the motion brakes
                 let (mut before, mut after) = (braking.as_micros(), self.end().as_micros());
                 while far(before) && before + 1 < after {
                     let middle = before.midpoint(after);
@@ -217,7 +217,7 @@ impl Motion {
         }
     }
 
-    /// Returns when the next motion, which stands, begins to move: at the end, or earlier after a pass.
+    /// Returns when the next motion, which is at rest, begins to move: at the end of this one, or earlier after a pass.
     ///
     /// While both move, no axis exceeds its speed: each motion's speed is a part of its path's full speed, at which each axis
     /// keeps its limit, and the sum of both parts stays within the greater of both rates. No axis leaves its range either.

@@ -21,7 +21,7 @@ use crate::messages::Message;
 use crate::value::{ValueResult, keep, one_int, owned};
 use crate::variables::{Family, Variables, is_wildcard};
 
-/// The longest name of an object, in bytes.
+/// Maximum length of an object's name, in bytes.
 const NAME_MAX: usize = 1024;
 
 const FIRST: i32 = 2;
@@ -259,12 +259,12 @@ pub(crate) struct Objects {
     open: BTreeMap<i32, OpenObject>,
     /// The handles of each client; a client without handles has no entry.
     by_peer: BTreeMap<PeerId, BTreeSet<i32>>,
-    /// How often each object is open that is to be open once.
+    /// Number of times that each object is open, for objects that should be open only once.
     single: BTreeMap<Single, usize>,
     last: i32,
 }
 
-/// An object that is to be open once.
+/// An object that should be open only once.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Single {
     /// A controller, by its name in lower case, of all clients.
@@ -472,7 +472,7 @@ mod tests {
             objects.release_all(PeerId(peer));
         }
 
-        /// Checks that the indices of `objects` hold the same, and nothing of clients without objects.
+        /// Checks that the indices of `objects` have the same content, and no entry for clients without objects.
         fn check(&self, objects: &Objects) {
             let mut known: Vec<_> = objects.open.iter().map(|(handle, entry)| (entry.peer.0, *handle)).collect();
             let indexed = objects.by_peer.iter().flat_map(|(peer, handles)| handles.iter().map(|h| (peer.0, *h)));
@@ -491,7 +491,7 @@ mod tests {
         let mut random = fastrand::Rng::with_seed(11);
         for _ in 0..200 {
             let (mut objects, mut model) = (Objects::default(), ObjectList::default());
-            // handles near the end of their range, too
+            // also handles near the end of their range
             objects.last = if random.bool() { i32::MAX - 9 } else { 0 };
             for _ in 0..100 {
                 let peer = random.u32(0..4);

@@ -10,9 +10,9 @@
 //! | Task_Start, Task_Stop            | none                                                      |
 //! | motions                          | see [`arm`](crate::arm)                                   |
 //!
-//! Another option is refused with `E_INVALIDARG`, so that a misspelt one does not pass unnoticed; no source has a code.
-//! A [lenient](crate::Config::lenient) controller ignores it, as the vendor's server library does in Service_Start, and tells
-//! the [observer](crate::explain::Observer).
+//! Any other option is refused with `E_INVALIDARG`, so that a misspelt option does not pass unnoticed; no source names a code.
+//! A [lenient](crate::Config::lenient) controller ignores it, as the vendor's server library does in Service_Start, and
+//! notifies the [observer](crate::explain::Observer).
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
@@ -87,7 +87,7 @@ pub(crate) fn has_option(text: &str, key: &str) -> bool {
     options(text).any(|(k, _)| k.eq_ignore_ascii_case(key))
 }
 
-/// How a motion passes to the next one.
+/// The transition from a motion to the next motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Pass {
     /// `@0`, `@E`, `@C`: it comes to rest first.
@@ -107,7 +107,7 @@ pub(crate) fn split_pass(text: &str) -> Result<(Pass, &str), HResult> {
     Ok((pass_of_text(pass)?, rest.trim_start()))
 }
 
-/// Reads a pass in an array: EMPTY or "" for none, its text, or its number (`@P` -1, `@E` -2, `@0`, `@n`).
+/// Reads a pass in an array: EMPTY or "" for no pass, its text, or its number (`@P` -1, `@E` -2, `@0`, `@n`).
 pub(crate) fn pass_item(item: &Variant<'_>) -> Result<Pass, HResult> {
     match item.flatten() {
         Variant::Empty | Variant::Null => Ok(Pass::Stop),

@@ -16,7 +16,7 @@ use crate::controller::Controller;
 /// The accepted factors.
 const FACTORS: std::ops::RangeInclusive<f64> = 0.1..=10.0;
 
-/// The longest wait of a call until it is resumed, by the server's clock.
+/// Maximum time after which a waiting call is resumed, by the server's clock.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
 /// A controller with a time factor.
@@ -164,7 +164,7 @@ mod tests {
         paced.set_factor(0.5, at(100)).unwrap();
         assert_eq!(paced.time(at(300)), at(200));
         assert_eq!(paced.converted(Outcome::Wait(at(200)), at(250)), Outcome::Wait(at(300)));
-        // a call that waits for 2 s is resumed within 100 ms, when the factor may be another one
+        // a call that waits for 2 s is resumed within 100 ms, because the factor may have changed by then
         assert_eq!(paced.converted(Outcome::Wait(at(2200)), at(300)), Outcome::Wait(at(400)));
         paced.set_factor(10.0, at(300)).unwrap();
         assert_eq!(paced.time(at(400)), at(1200), "the clock does not jump");

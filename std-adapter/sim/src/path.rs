@@ -22,7 +22,7 @@ const LARGEST_STEP: f64 = 30.0;
 const SINGULAR_SPEED: f64 = 0.01;
 
 /// A length in mm and an angle in degrees that no controller resolves. On a shorter path, the rounding of the joints would
-/// decide whether it is singular.
+/// determine whether it is singular.
 const SHORT: f64 = 1e-3;
 
 /// Why a route cannot be followed.
@@ -34,7 +34,7 @@ pub(crate) enum Blocked {
     Path(OutOfReach),
     /// A straight path ends in another figure.
     Figure,
-    /// The command asks for something that no path has.
+    /// The command requires something that no path has.
     Invalid,
 }
 
@@ -60,7 +60,7 @@ impl From<OutOfReach> for Blocked {
 pub(crate) struct Path {
     /// At least two.
     knots: Vec<Axes>,
-    /// The highest speed within all limits, in paths per second.
+    /// Maximum speed within all limits, in paths per second.
     pub(crate) full_speed: f64,
     /// The speed above which the bends of the path would exceed the acceleration of an axis, in paths per second.
     pub(crate) bend_speed: f64,

@@ -10,10 +10,10 @@
 //! | a vector, 3 numbers                | `"V1"`, `"V(1,2,3)"`, `[1, "V"]`, `[[1,2,3], 3]`, an array   |
 //! | a length or an angle               | `30`, `"@P 30"`, `[30, "", "@P"]`, `[30, -1, -1]`            |
 //!
-//! Types are 0 P, 1 T, 2 J, 3 V, -1 or `""` none. A pose without a type is a P. The pass is `@P` (-1), `@E` (-2), `@C`, `@0`
-//! or `@n`, and `""` none; [`arm`](crate::arm) describes its effect. A J may have four numbers or more; the others are 0.
-//! As text it may also stand before the type, as in a public sample program: `[[...], "@E", "P"]`. If a P has no Fig or
-//! a negative one, the arm takes the nearest posture.
+//! Types are 0 P, 1 T, 2 J, 3 V, -1 or `""` no type. A pose without a type is a P. The pass is `@P` (-1), `@E` (-2), `@C`, `@0`
+//! or `@n`, and `""` no pass; [`arm`](crate::arm) describes its effect. A J may have four numbers or more; the others are 0. As
+//! text it may also precede the type, as in a public sample program: `[[...], "@E", "P"]`. If a P has no Fig or a negative one,
+//! the arm takes the nearest posture.
 //!
 //! An arc has two poses in one text, `"P1, @E P2"`: the point on the circle, and the end.
 //!
@@ -93,7 +93,7 @@ impl Target {
         }
     }
 
-    /// Returns whether a value has a pass of any kind, also one that stops.
+    /// Returns whether a value has a pass of any kind, even one that stops.
     pub(crate) fn has_pass(value: &Variant<'_>) -> bool {
         let is_pass =
             |item: &Variant<'_>| matches!(item, Variant::Bstr(text) if text.to_string().trim().starts_with('@'));
@@ -337,8 +337,8 @@ pub(crate) fn length_and_pass(value: &Variant<'_>) -> Result<(f64, Pass), HResul
 /// A bit of the Fig that programs of a COBOTTA send, and read from it, as in 261; no source has its meaning.
 const FIG_OF_COBOTTA: f64 = 256.0;
 
-/// Reads the rest after the coordinates: nothing, a Fig of 0 to 31, perhaps with [`FIG_OF_COBOTTA`], or a negative number for
-/// any.
+/// Reads the rest after the coordinates: nothing, a Fig of 0 to 31, optionally with [`FIG_OF_COBOTTA`], or a negative number
+/// for any Fig.
 fn figure(rest: &[f64]) -> Result<Option<u8>, HResult> {
     match rest {
         [] => Ok(None),

@@ -14,14 +14,15 @@
 //! | AutoCal                   | -         | EMPTY; sets the bit "calibrated" of SysState                      |
 //!
 //! Without ManualResetPreparation, the three commands after it answer `E_MANUAL_RESET_UNPREPARED`. Without
-//! MotionPreparation, Motor answers `E_MOTION_UNPREPARED`. Both need Auto mode and a released emergency
-//! stop, AutoCal also no error. Public clients show this order and the two codes, and that ClearError may follow MotionPreparation;
-//! that an emergency stop ends a preparation is a decision of this model. AutoCal takes no time and moves nothing.
+//! MotionPreparation, Motor answers `E_MOTION_UNPREPARED`. Both need Auto mode and a released emergency stop; AutoCal also
+//! needs that no error is present. Public clients show this order and the two codes, and that ClearError may follow
+//! MotionPreparation; that an emergency stop ends a preparation is a decision of this model. AutoCal takes no time and moves
+//! nothing.
 //!
 //! Before version 2.8.0, the three commands need no ManualResetPreparation, which answers `E_INVALIDARG`: programs of 2021 and
-//! 2022 sent none. A person can prepare the arm, too: `prepared` of a [scenario](crate::scenario).
+//! 2022 sent none. A person can also prepare the arm: `prepared` of a [scenario](crate::scenario).
 //!
-//! Other models do not know these commands and need no preparation.
+//! Other models do not have these commands and need no preparation.
 
 use bcap_core::hresult::HResult;
 

@@ -16,7 +16,7 @@ pub struct Program {
     pub name: String,
     /// The steps, each of which is a line.
     pub steps: Arc<[Step]>,
-    /// The least time that each step takes, at least 1 ms.
+    /// Minimum time that each step takes, at least 1 ms.
     pub line: Duration,
     /// The mode of Task_Start in which it starts with the scenario; `None` waits for a client.
     pub start: Option<i32>,
@@ -152,7 +152,7 @@ pub enum Constant {
 }
 
 impl Assignment {
-    /// Creates an assignment to the variable of this name; `None` if no variable can have the name.
+    /// Creates an assignment to the variable with this name; `None` if no variable can have the name.
     #[must_use]
     pub fn new(name: &str, value: Constant) -> Option<Self> {
         match parse_name(name)? {

@@ -1,4 +1,4 @@
-//! The motions of the arm: the one under way, and those that follow it.
+//! The queue of the arm's motions: the current motion, and the motions after it.
 //!
 //! ```text
 //!  speed       first            second         a motion with a pass (@P, @n) hands over while it brakes:
@@ -25,7 +25,7 @@ use crate::motion::Motion;
 use crate::path::Blocked;
 use crate::waits::{Wait, Waits};
 
-/// The largest number of motions in the queue, with the one under way.
+/// Maximum number of motions in the queue, including the current one.
 ///
 /// No public source names the number. A motion beyond it is refused with `E_ROBOTISBUSY`.
 pub(crate) const CAPACITY: usize = 16;
@@ -38,7 +38,7 @@ enum Stage {
     Holding,
     /// Braking, to continue when the arm is at rest.
     Resuming,
-    /// Braking for MotionSkip; the next motion begins when the arm is at rest, but if `held`, only after Unhold.
+    /// Braking for MotionSkip; the next motion begins when the arm is at rest or, if `held`, only after Unhold.
     Skipping {
         held: bool,
     },
@@ -46,7 +46,7 @@ enum Stage {
     Halting,
 }
 
-/// How long after an error of the controller a client is told that its motion was stopped: 16 to 31 ms in the log of an RC8A.
+/// Delay between an error of the controller and the reply that the motion was stopped: 16 to 31 ms in the log of an RC8A.
 const REPORT_DELAY: Duration = Duration::from_millis(20);
 
 /// The motions of the arm.
@@ -55,9 +55,9 @@ pub(crate) struct Queue {
     /// The position at rest, while there is no motion.
     rest: Axes,
     motions: VecDeque<Motion>,
-    /// The number of motions that have a time to begin: the first, and perhaps the second.
+    /// Number of motions whose start time is planned: the first, and possibly the second.
     begun: usize,
-    /// When the first motion became the first one.
+    /// When the first motion reached the front of the queue.
     since: Instant,
     stage: Stage,
 }
@@ -85,7 +85,7 @@ impl Queue {
         self.motions.back().filter(|_| self.stage != Stage::Halting).map(|motion| motion.peer)
     }
 
-    /// Returns the client of the motion under way.
+    /// Returns the client of the current motion.
     pub(crate) fn mover(&self) -> Option<PeerId> {
         self.motions.front().map(|motion| motion.peer)
     }
@@ -101,7 +101,7 @@ impl Queue {
         }
     }
 
-    /// Returns the end of the motion under way, or the position at rest.
+    /// Returns the end of the current motion, or the position at rest.
     pub(crate) fn destination(&self) -> Axes {
         self.motions.front().map_or(self.rest, Motion::destination)
     }
@@ -109,7 +109,7 @@ impl Queue {
     /// Returns where a further motion begins.
     pub(crate) fn last_destination(&self) -> Axes {
         match self.motions.len() {
-            // the motions under way are cut short
+            // the begun motions are cut short
             n if matches!(self.stage, Stage::Skipping { .. }) && n == self.begun => self.axes(self.at_rest()),
             _ => self.motions.back().map_or(self.rest, Motion::destination),
         }
@@ -211,7 +211,7 @@ impl Queue {
                 }
                 self.since = at;
                 if held && !self.is_empty() {
-                    // the next motion stands at its beginning, as if Hold had stopped it there
+                    // the next motion rests at its beginning, as if Hold had stopped it there
                     (self.stage, self.begun) = (Stage::Holding, 1);
                 } else {
                     self.stage = Stage::Running;
@@ -222,7 +222,7 @@ impl Queue {
         }
     }
 
-    /// Returns the number of the motion under way.
+    /// Returns the number of the current motion.
     pub(crate) fn first(&self) -> Option<u64> {
         self.motions.front().map(|motion| motion.id)
     }
@@ -284,13 +284,14 @@ impl Queue {
         true
     }
 
-    /// Brakes the motions under way, at full deceleration or at their own, after which the next one begins from the place where the arm comes to rest.
+    /// Brakes the begun motions, at full deceleration or, if `gently`, at the deceleration of each motion. Then the next motion
+    /// begins where the arm comes to rest.
     ///
-    /// After Hold, the next one begins only after Unhold. Returns `false` without a motion that can be skipped.
+    /// After Hold, the next motion begins only after Unhold. Returns `false` if there is no motion that can be skipped.
     ///
     /// # Errors
     ///
-    /// The reason why a motion of the queue cannot begin there. Then it and those after it are dropped.
+    /// The reason why a queued motion cannot begin there. That motion and all motions after it are dropped.
     pub(crate) fn skip(&mut self, gently: bool, now: Instant, waits: &mut Waits) -> Result<bool, Blocked> {
         if self.is_empty() || matches!(self.stage, Stage::Halting | Stage::Skipping { .. }) {
             return Ok(false);
@@ -325,8 +326,8 @@ impl Queue {
         self.motions.iter_mut().take(begun).for_each(|motion| motion.brake(now, gently));
     }
 
-    /// Stops without braking because of `code`, and drops all motions. Their clients are told, after an error of the controller a
-    /// moment later.
+    /// Stops without braking because of `code`, and drops all motions. Their clients are notified: immediately, or after a
+    /// short delay if `code` is an error of the controller.
     pub(crate) fn stop(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
         self.set_rest(self.axes(now));
         let report = if code.level().is_some() { now.saturating_add(REPORT_DELAY) } else { now };

@@ -92,7 +92,7 @@ pub(crate) struct Robot {
     stream: Option<Stream>,
     last_motion: u64,
     servo: Servo,
-    /// How often the motor was switched on.
+    /// Number of times that the motor was switched on.
     motor_starts: i32,
     /// The client that owns the arm, and the arm group.
     owner: Option<(PeerId, i32)>,
@@ -148,7 +148,7 @@ impl Robot {
         self.servo
     }
 
-    /// Returns how often the motor was switched on by clients.
+    /// Returns the number of times that clients switched the motor on.
     pub(crate) fn motor_starts(&self) -> i32 {
         self.motor_starts
     }
@@ -165,7 +165,7 @@ impl Robot {
         }
     }
 
-    /// Switches the motor on at once.
+    /// Switches the motor on immediately.
     pub(crate) fn force_on(&mut self) {
         self.servo = Servo::On;
     }
@@ -246,7 +246,7 @@ impl Robot {
         self.queue.end(now)
     }
 
-    /// Returns the number of the motion under way.
+    /// Returns the number of the current motion.
     pub(crate) fn motion(&self) -> Option<u64> {
         self.queue.first()
     }
@@ -310,7 +310,7 @@ impl Robot {
         self.queue.unhold(now)
     }
 
-    /// Ends the motion under way early; the next one begins when the arm is at rest. Returns whether there was one.
+    /// Ends the current motion early; the next motion begins when the arm is at rest. Returns whether there was a motion.
     ///
     /// # Errors
     ///

@@ -112,7 +112,7 @@ fn in_range(arm: &Geometry, axes: Axes) -> Result<Axes, OutOfReach> {
     arm.out_of_range(&axes).map_or(Ok(axes), Err)
 }
 
-/// Plans a line, on which the posture cannot change; J7 and J8 move to those of `extended`.
+/// Plans a line, on which the posture cannot change; J7 and J8 move to their positions in `extended`.
 fn line(arm: &Geometry, here: &Axes, tool: &Frame, pose: &Pose, extended: &Axes) -> Result<Path, Blocked> {
     let (from, (to, fig), flange) = (arm.forward(&six(here)).times(tool), tip(arm, pose, tool)?, tool.inverse());
     let end = in_range(arm, with_joints(&six(here), extended))?;
@@ -144,7 +144,7 @@ fn tip(arm: &Geometry, pose: &Pose, tool: &Frame) -> Result<(Frame, Option<u8>),
     }
 }
 
-/// Checks that a path ends in the posture that its command asks for.
+/// Checks that a path ends in the posture that its command requires.
 fn keeps_posture(path: Path, fig: Option<u8>) -> Result<Path, Blocked> {
     // the turns of J4 and J6 result from the path
     match fig {

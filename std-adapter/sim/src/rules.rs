@@ -12,8 +12,8 @@ pub(crate) struct Rule {
     pub(crate) auto: bool,
     /// The executable token, otherwise `E_TOKEN_NOT_ETHERNET` or `E_TOKEN_ADDRESS`.
     pub(crate) token: bool,
-    /// Whether the token is needed on a model with a preparation, too: a COBOTTA was seen to take the arm and to be prepared
-    /// without it.
+    /// Whether the token is also needed on a model with a preparation: a COBOTTA allowed TakeArm and its preparation without
+    /// the token.
     pub(crate) token_of_cobotta: bool,
     /// A released emergency stop, which is checked first, otherwise [`EMERGENCY_STOP`](crate::codes::EMERGENCY_STOP); and no
     /// error, otherwise `E_ERROR_PRESENT`, or [`FAULT_PRESENT`](crate::codes::FAULT_PRESENT) after one of level 5.
@@ -26,7 +26,7 @@ pub(crate) struct Rule {
     pub(crate) rest: bool,
 }
 
-/// Who may own the arm.
+/// The permitted owner of the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Authority {
     /// Any client.
@@ -57,7 +57,7 @@ const NOTHING: Rule = Rule {
 
 const EXECUTION: Rule = Rule { auto: true, token: true, no_error: true, ..NOTHING };
 
-/// Motions. A motion of the client whose motion is under way joins the queue instead of finding the arm at rest.
+/// Motions. The arm must be at rest, but a motion of the client whose motion runs joins the queue.
 pub(crate) const MOTION: Rule = Rule {
     calls: "Robot_Move, Robot_Drive, Robot_Rotate, Robot_GoHome, DriveEx, DriveAEx, Approach, Depart, RotateH, Draw, ArchMove",
     arm: Authority::Own,

@@ -31,14 +31,14 @@
 //! | `then`                  | what happens                                                                     |
 //! |-------------------------|----------------------------------------------------------------------------------|
 //! | `{ refuse = code }`     | the call is not executed, and answered with this code; only calls                |
-//! | `{ delay_ms = t }`      | the call is executed, and answered that much after its end; only calls           |
+//! | `{ delay_ms = t }`      | the call is executed, and answered this long after its end; only calls           |
 //! | `"drop"`                | the answer is lost on the wire; only calls                                       |
 //! | `"wrong_serial"`        | the answer has another serial; only calls                                        |
 //! | `"corrupt"`             | one random bit of the answer is wrong; only calls                                |
 //! | `"disconnect"`          | the connection is closed instead of the answer; only calls                       |
 //! | `{ error = code }`      | an error of the controller occurs; at a call, before it is executed              |
 //! | `{ emergency_stop = b }`| the emergency stop is pressed (true) or released (false)                         |
-//! | `{ link_loss_ms = t }`  | for this time no call arrives and no answer is sent; 0 is without end            |
+//! | `{ link_loss_ms = t }`  | for this time no call arrives and no answer is sent; 0 means forever             |
 //! | `{ mode = m }`          | the mode switch is turned: `"auto"`, `"manual"`, `"teach_check"`                 |
 //! | `{ token = t }`         | the executable token goes to `"any"`, the `"pendant"`, an `"other"` client, an address |
 //! | `{ permission = p }`    | the communication permission becomes `"read_write"`, `"read_only"`, `"none"`     |
@@ -64,17 +64,17 @@
 //! battery_low = true          # the battery is exhausted: SysState, SysInfo 15
 //! warning = true              # the robot warns: SysState
 //! protective_stop = true      # is shown by SysState and @PROTECTIVE_STOP; it stops nothing
-//! errors = ["0x84201482"]     # present errors, the first cause first
-//! arm = "taken"               # free; taken: by a client that is not connected, for good
+//! errors = ["0x84201482"]     # current errors, in order of occurrence
+//! arm = "taken"               # free; taken: permanently, by a client that is not connected
 //! motor = false               # off; true is refused with emergency_stop or errors; a controller that has them keeps it off
 //! licence = false             # of Slave Mode
-//! slave_speed_setting = 2     # parameter 153, what limits Slave Mode: 0 to 3, see `SpeedSetting`
+//! slave_speed_setting = 2     # parameter 153, the limits of Slave Mode: 0 to 3, see `SpeedSetting`
 //! formats = ["mini_io"]       # of Slave Mode: any of mini_io, hand_io, user_io, current
 //! version = "1.2.0"           # @VERSION
 //! robot_type = "CVR038A1"     # @TYPE_NAME
 //! arm_name = "Arm0"           # the robot's name
 //! axes = 8                    # 6, 7 or 8: with J7 and J8
-//! servo_on_waits = false      # writing @SERVO_ON answers at once, and the motor comes on later
+//! servo_on_waits = false      # writing @SERVO_ON answers immediately, and the motor switches on later
 //! slave_speed = { j1 = 500.0 }            # limits of Slave Mode for single axes, in degrees or mm per second,
 //! slave_acceleration = { j2 = 10000.0 }   # and per second squared
 //! ```
@@ -111,9 +111,9 @@
 //! # On the wire
 //!
 //! The controller has no wire. The server that sends its replies passes the bytes of each one to
-//! [`Controller::deliver`](crate::Controller::deliver), which applies the fault and says whether to send them. A server
-//! that does not do so never sees `"drop"`, `"wrong_serial"`, `"corrupt"` and `"disconnect"`. During a link loss, calls
-//! are neither executed nor answered in any case.
+//! [`Controller::deliver`](crate::Controller::deliver), which applies the fault and returns whether to send them. In a server
+//! that does not, `"drop"`, `"wrong_serial"`, `"corrupt"` and `"disconnect"` have no effect. During a link loss, calls are
+//! neither executed nor answered in any case.
 
 mod parse;
 mod parse_setup;
@@ -209,7 +209,7 @@ pub enum CallFilter {
 pub enum Effect {
     /// The call is not executed, and answered with this code.
     Refuse(HResult),
-    /// The answer comes that much after the end of the call. Several delays of a call add up.
+    /// The answer is sent with this delay after the end of the call. Several delays of a call add up.
     Delay(Duration),
     /// The answer is damaged or lost on the wire.
     Wire(WireFault),
@@ -217,7 +217,7 @@ pub enum Effect {
     Error(HResult),
     /// The emergency stop is pressed or released.
     EmergencyStop(bool),
-    /// The link is lost for a time, or without end.
+    /// The link is lost for a time, or forever.
     LinkLoss(Option<Duration>),
     /// The mode switch is turned.
     Mode(Mode),

@@ -4,7 +4,7 @@
 //!   off -- slvChangeMode n --> on: a cycle every 8 ms takes a pose from the buffer; the axes move to it evenly and
 //!    ^                         |   arrive when the next cycle begins
 //!    +-- slvChangeMode 0 ------+   the buffer is emptied, the axes come to rest, then the call is answered
-//!    +-- an error, Halt, ------+   at once; buffered poses are dropped
+//!    +-- an error, Halt, ------+   immediately; buffered poses are dropped
 //!        the client disconnects,
 //!        motor off, mode not Auto
 //! ```
@@ -23,11 +23,11 @@
 //! | 1    | 1, newest | `S_OK`                                                            | holds the position  |
 //! | 2    | 3         | `S_OK`, as soon as it is stored                                   | 0x84201482          |
 //!
-//! An axis is at rest below 0.01 degrees per second; while all axes are, an empty buffer is no error in any mode. A pose
-//! for which axis n would exceed its limit is the error 0x8420405n (speed) or 0x8420404n (acceleration) of the cycle that
-//! takes it; speeds are checked first. The check includes the first pose, relative to the robot's position, and a sudden
-//! stop: holding in mode 1, or leaving before the poses have slowed down. A pose out of reach is the error 0x83201501 or
-//! 0x8320407n at once.
+//! An axis is at rest below 0.01 degrees per second; while all axes are at rest, an empty buffer is not an error in any mode. A
+//! pose for which axis n would exceed its limit is the error 0x8420405n (speed) or 0x8420404n (acceleration) of the cycle that
+//! takes it; speeds are checked first. The check includes the first pose, relative to the robot's position, and a sudden stop:
+//! holding in mode 1, or leaving before the poses have slowed down. A pose out of reach is the error 0x83201501 or 0x8320407n
+//! immediately.
 //!
 //! # Required state
 //!
@@ -42,20 +42,20 @@
 //!
 //! # Decisions of this model, where the manuals are silent
 //!
-//! * Formats belong to a client until it disconnects. The default is no IO, and the answer in joints, as in the guide's
-//!   example. A format that the controller lacks (see [`SlaveFormats`]) is refused with `E_INVALIDARG`.
+//! * Formats belong to a client until it disconnects. By default there is no IO and the answer is in joints, as in the guide's
+//!   example. A format that the controller does not have (see [`SlaveFormats`]) is refused with `E_INVALIDARG`.
 //! * Cycles count from entering Slave Mode. The answer's pose is the position of the axes when the answer is made.
 //! * IO are written when the pose is stored. Bit n of MiniIO is IO n (written: 16 to 31). Bit n of HandIO is IO 48 + n
 //!   (written: 64 to 71, read: these and 48 to 55).
 //! * A parameter that does not fit the formats is refused (`E_INVALIDARGTYPE`, `E_INVALIDARG`, `DISP_E_BADINDEX`) and
-//!   changes nothing: these codes are no errors of the controller, so Slave Mode stays on.
+//!   changes nothing: these codes are not errors of the controller, so Slave Mode stays on.
 //! * Poses are 7, 8 or 10 numbers, followed by an option element that is 0 or `0x00400000 |` bits of joints. The bits
 //!   of axes 7 and 8 (0x40, 0x80) make them move; in P and T, their values follow the option. Without its bit an
 //!   axis keeps its position. An axis that the arm lacks ([`Config::extended_axes`](crate::Config::extended_axes)) is
 //!   refused.
-//! * While the client leaves and the last poses are executed, an empty buffer is no underflow: the axes stop at the last
+//! * While the client leaves and the last poses are executed, an empty buffer is not an underflow: the axes stop at the last
 //!   pose.
-//! * Halt brakes all axes together, at their limit of acceleration; errors stop them at once, like any motion.
+//! * Halt brakes all axes together, at their limit of acceleration; errors stop them immediately, like any motion.
 //! * Currents are percent: the acceleration of an axis relative to its limit, plus a tenth of its speed relative to its
 //!   limit.
 
@@ -133,7 +133,7 @@ impl Slave {
         ctx.may(&rules::SLAVE_MOVE)?;
         let order = self.order(ctx, param)?;
         if refuses {
-            // normal in mode 0, so it is no error of the controller
+            // normal in mode 0, so it is not an error of the controller
             self.counters.refused += 1;
             return Ok(Answer::Code(HResult::E_BUF_FULL));
         }
@@ -288,7 +288,7 @@ pub(crate) fn halt(robot: &mut Robot, config: &Config, now: Instant, waits: &mut
     true
 }
 
-/// Drops the withheld pose of a client that gave up its call.
+/// Drops the withheld pose of a client that abandoned its call.
 pub(crate) fn abandon(robot: &mut Robot, peer: PeerId) {
     if let Some(stream) = robot.stream_mut().filter(|stream| stream.peer == peer) {
         stream.forget_withheld();

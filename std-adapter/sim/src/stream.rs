@@ -24,7 +24,7 @@ const BUFFER: usize = 3;
 /// An axis below this speed, in degrees per second, is at rest. It is less than the rounding of a pose to R4.
 const REST: f64 = 0.01;
 
-/// The part of its limit by which a speed or an acceleration may exceed it through rounding.
+/// Relative tolerance of the speed and acceleration limits, for rounding.
 const SLACK: f64 = 1e-6;
 
 /// The limits of Slave Mode for J1 to J8.
@@ -151,7 +151,7 @@ pub(crate) struct Stream {
     pub(crate) leaving: bool,
     /// The number of cycles since Slave Mode was entered.
     pub(crate) cycle: u64,
-    /// When the current cycle began, and the position of the axes at its beginning and at its end.
+    /// The start time of the current cycle, and the position of the axes at its beginning and at its end.
     began: Instant,
     from: Axes,
     to: Axes,
@@ -255,7 +255,7 @@ impl Stream {
         if self.mode.buffering == Buffering::Refuse && self.is_full() { Offered::Full } else { Offered::Stored }
     }
 
-    /// Drops the withheld position, because its client gave up the call.
+    /// Drops the withheld position, because its client abandoned the call.
     pub(crate) fn forget_withheld(&mut self) {
         self.withheld = None;
     }

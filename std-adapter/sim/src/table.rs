@@ -1,7 +1,7 @@
 //! The form of the tables of commands and of system variables: one entry for each name, with its handler.
 //!
-//! The tables also give the lists of names that clients can ask for, and the text of [`explain`](crate::explain) about
-//! a parameter.
+//! The tables also provide the lists of names that clients can query, and the text of [`explain`](crate::explain) about a
+//! parameter.
 
 use bcap_core::hresult::HResult;
 
@@ -40,7 +40,7 @@ impl<R: Copy> Command<R> {
         self
     }
 
-    /// Restricts the command to some models; the others do not know its name.
+    /// Restricts the command to some models; on other models it does not exist.
     pub(crate) const fn of(mut self, is_of: fn(Functions) -> bool) -> Self {
         self.is_of = is_of;
         self
@@ -65,7 +65,8 @@ impl<R: Copy> Command<R> {
     ///
     /// # Errors
     ///
-    /// `E_NOTIMPL` for a command that this crate lacks, `E_INVALID_CMD_NAME` for one that the model does not know.
+    /// `E_NOTIMPL` for a command that this crate does not implement, `E_INVALID_CMD_NAME` for a command that the model does not
+    /// have.
     pub(crate) fn handler(table: &'static [Self], name: &str, functions: Functions) -> Result<R, HResult> {
         let command = Self::find(table, name).filter(|command| (command.is_of)(functions));
         command.ok_or(HResult::E_INVALID_CMD_NAME)?.run.ok_or(HResult::E_NOTIMPL)
@@ -96,7 +97,7 @@ impl<G: Copy, P: Copy> Property<G, P> {
         Self { name, get: None, put: Some(put), accepts: Some(accepts) }
     }
 
-    /// Creates a variable that can be read also writable.
+    /// Makes a readable variable writable.
     pub(crate) const fn and_write(mut self, put: P, accepts: &'static str) -> Self {
         self.put = Some(put);
         self.accepts = Some(accepts);

@@ -14,9 +14,9 @@
 //! ```
 //!
 //! Start 4 goes one line back. KillAll of the controller stops all tasks as Stop 4 does, SuspendAll as Stop 1, StepStopAll as
-//! Stop 2; ContinueStartAll continues the suspended ones in the mode of their last start. An error of level 2 suspends all tasks, as does the end of Auto mode; an error from level 3 on resets them,
-//! unless it only refuses a call. A task
-//! whose step fails raises the code of the failure as an error of the controller, which names the task and the line.
+//! Stop 2; ContinueStartAll continues the suspended tasks in the mode of their last start. An error of level 2 suspends all
+//! tasks, as does the end of Auto mode; an error from level 3 on resets them, unless it only refuses a call. A task whose step
+//! fails raises the code of the failure as an error of the controller, which names the task and the line.
 //!
 //! Task_Delete removes a task that does not run; of a running one it is refused with `E_CAO_CMD_EXECUTE`. A deleted task
 //! has the state 0, and its other functions answer `E_CAO_OBJECT_NOTFOUND`.

@@ -80,7 +80,7 @@ pub(crate) struct Trace {
     /// The time of the next point of the recorder.
     next_told: Instant,
     last: Option<Axes>,
-    /// The recorder has the current point of rest.
+    /// The recorder has received the current point of rest.
     rested: bool,
 }
 
@@ -100,7 +100,7 @@ impl Trace {
         (self.next, self.left) = (Some(now), None);
     }
 
-    /// Executes StartLog: the log ends by itself when it has as many further points as it can keep.
+    /// Executes StartLog. The log ends by itself when the number of further points reaches its capacity.
     ///
     /// # Errors
     ///
@@ -182,7 +182,7 @@ impl Trace {
         self.next.into_iter().chain(told).min().filter(|next| *next <= until)
     }
 
-    /// Records the point whose time has come.
+    /// Records a point, if its time has been reached.
     pub(crate) fn take(&mut self, recorder: &Recorder, point: &TracePoint, rest: bool) {
         if self.next.is_some_and(|next| next <= point.at) {
             self.log_point(point);
@@ -208,7 +208,7 @@ impl Trace {
     }
 }
 
-/// Skips the points between a time and `until`, except those of the last `kept` time.
+/// Skips the points between a time and `until`, except for the last `kept` of that time.
 fn skipped(next: Instant, until: Instant, step: Duration, kept: Duration) -> Instant {
     let behind = until.saturating_since(next).saturating_sub(kept);
     let steps = u64::try_from(behind.as_micros() / step.as_micros().max(1)).unwrap_or(0);

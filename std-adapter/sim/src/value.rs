@@ -61,7 +61,7 @@ pub(crate) fn numbers(value: &Variant<'_>) -> Result<Vec<f64>, HResult> {
     }
 }
 
-/// Reads an array of numbers, also of VARIANT with different types, and nothing else.
+/// Reads an array of numbers, which may be VARIANTs of different types, and nothing else.
 pub(crate) fn numbers_of_array(value: &Variant<'_>) -> Result<Vec<f64>, HResult> {
     match value.flatten() {
         Variant::Array(array) if array.len() <= NUMBERS_MAX => array.iter().map(|item| command_number(&item)).collect(),

@@ -14,12 +14,12 @@
 //! | `IOB`n `IOW`n `IOD`n | UI1, I2, I4  | integers that fit the 8, 16 or 32 bits, signed or unsigned       |
 //! | `IOF`n               | R4           | as `F`                                                           |
 //!
-//! The lowest bit of a view is IO n. Other values are refused: another type with
-//! `E_INVALIDARGTYPE`, a fraction for an integer with `DISP_E_TYPEMISMATCH`, a number that does not fit with
-//! `DISP_E_OVERFLOW`, another count of elements with `E_INVALIDARG`, an index out of range with `DISP_E_BADINDEX`.
+//! The lowest bit of a view is IO n. Other values are refused: a wrong type with `E_INVALIDARGTYPE`, a fraction for an integer
+//! with `DISP_E_TYPEMISMATCH`, a number that does not fit with `DISP_E_OVERFLOW`, a wrong number of elements with
+//! `E_INVALIDARG`, an index out of range with `DISP_E_BADINDEX`.
 //!
-//! Names are `I1` or `I[1]`, ignoring case, with indices from 0. `I*` names all variables of a kind, as `I*_1` does: number 0
-//! until PutID chooses another one.
+//! Names are `I1` or `I[1]`, ignoring case, with indices from 0. `I*` and `I*_1` are wildcards for all variables of a kind:
+//! they denote number 0 until PutID chooses another number.
 
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
@@ -92,7 +92,7 @@ impl Sizes {
 /// The maximum bytes of all S variables together; they outlive their writer. The size of a packet limits a single one.
 const S_MAX: usize = 64 << 20;
 
-/// A kind of variables as a name tells it: one of the nine, or a view of the IO bits.
+/// The kind of variable that a name denotes: one of the nine, or a view of the IO bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Family {
     Plain(Kind),
@@ -158,7 +158,7 @@ pub(crate) fn parse_name(name: &str) -> Option<(Family, Option<u32>)> {
     plain.then(|| (family, Some(digits.parse().unwrap_or(u32::MAX))))
 }
 
-/// Returns whether the rest of a name is a wildcard: `*`, `[*]`, or one of several, `*_1`.
+/// Returns whether the rest of a name is a wildcard: `*`, `[*]`, or a numbered one, `*_1`.
 pub(crate) fn is_wildcard(rest: &str) -> bool {
     let (star, number) = rest.split_once('_').map_or((rest, "0"), |(star, number)| (star, number));
     matches!(star, "*" | "[*]") && !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())

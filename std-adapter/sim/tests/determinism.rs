@@ -10,7 +10,7 @@ use bcap_sim::{Config, Profile, Scenario};
 
 use crate::common::{Client, Value, World};
 
-/// The number of programs; the environment variable `PROGRAMS` sets another one, as 100.
+/// The number of programs; the environment variable `PROGRAMS` sets another number, for example 100.
 const PROGRAMS: u64 = 5;
 const CALLS: usize = 1000;
 

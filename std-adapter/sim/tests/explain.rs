@@ -1,4 +1,4 @@
-//! Why arguments are refused, as GetErrorDescription and an observer tell it.
+//! The reasons for refused arguments, in GetErrorDescription and for an observer.
 
 use std::sync::{Arc, Mutex};
 
@@ -31,7 +31,7 @@ fn a_refused_argument_is_named_with_what_is_accepted() {
     assert_eq!(world.robot(client, "takearm", [0, 0, 0]), code(HResult::E_INVALIDARG));
     let expected = "Robot_Execute \"takearm\": given [I4(0), I4(0), I4(0)]; accepted nothing, the group, or [group, keep]: \
                     group 0 to 31, keep 0 or 1";
-    // also over another session: drivers ask there
+    // even over another session, because drivers query it there
     assert_eq!(description(&mut world, other, HResult::E_INVALIDARG), format!("{plain} Last refused: {expected}"));
 
     assert_eq!(world.move_to(client, 1, "J1", "FAST"), WRONG_ARGUMENT);
@@ -61,7 +61,7 @@ fn a_refused_argument_is_named_with_what_is_accepted() {
     assert_eq!(world.call(client.peer, put), code(HResult::E_INVALIDARGTYPE));
     let text = description(&mut world, client, HResult::E_INVALIDARGTYPE);
     assert!(text.ends_with("given \"on\"; accepted BOOL, or an integer: 0 is off"), "{text}");
-    // a refusal for another reason has none
+    // a refusal for another reason has no such text
     assert_eq!(world.robot(other, "TakeArm", [0, 0]), code(HResult::E_ARM_NOT_TAKEN));
     assert!(!description(&mut world, client, HResult::E_ARM_NOT_TAKEN).contains("Last refused"));
 }

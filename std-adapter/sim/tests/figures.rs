@@ -100,7 +100,7 @@ fn chart(Chart { title, axes, digits, size, part }: &Chart<'_>, lines: &Lines) -
             let stroke = colour.stroke_width(scaled(2));
             let shown = |(x, y): &&(f64, f64)| part.as_ref().is_none_or(|(xs, ys)| xs.contains(x) && ys.contains(y));
             let points = points.iter().filter(shown).copied();
-            // the last line covers the first one, so it has gaps
+            // the last line covers the first line, so it has gaps
             let drawn = match n + 1 == lines.len() {
                 true => chart.draw_series(DashedLineSeries::new(points, scaled(8), scaled(8), stroke)),
                 false => chart.draw_series(LineSeries::new(points, stroke)),

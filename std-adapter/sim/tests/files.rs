@@ -71,7 +71,7 @@ fn files_are_listed_read_and_written() {
     assert_eq!(rig.call(call::file_get_type(file)), ok(&"pcs"));
     assert_eq!(rig.call(call::file_get_path(file)), ok(&"\\"));
     assert_eq!(rig.call(call::file_get_name(file)), ok(&"a.pcs"));
-    // bytes that are no text
+    // bytes that are not text
     assert_eq!(rig.call(call::file_put_value(file, [0xff_u8, 0])), code(HResult::S_OK));
     assert_eq!(rig.call(call::file_get_value(file)), ok(&[0xff_u8, 0]));
     assert_eq!(rig.call(call::file_put_value(file, 5)), code(HResult::E_INVALIDARGTYPE));

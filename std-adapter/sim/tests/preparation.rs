@@ -1,4 +1,4 @@
-//! The preparation that a COBOTTA needs before it moves, and other models do not.
+//! The preparation that only a COBOTTA needs before it moves.
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
@@ -155,7 +155,7 @@ fn an_rc9_is_reset_by_either_name_of_the_command() {
 #[test]
 fn the_start_of_the_ros_2_driver_succeeds() {
     let mut world = World::with(Config::new(Profile::Cobotta));
-    // one session for what moves, one for what watches
+    // one session moves the robot, the other monitors it
     let (acts, watches) = (world.client(1), world.client(2));
     assert_eq!(world.robot_get(watches, "@TYPE_NAME"), ok("CVR038A1"));
     assert_eq!(world.robot(acts, "ManualResetPreparation", ()), ok(&()));

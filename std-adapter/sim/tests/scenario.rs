@@ -172,7 +172,7 @@ fn a_lost_link_carries_nothing_and_the_buffer_runs_empty() {
     assert_eq!(world.poll(client.peer, &late, false).0, Outcome::Wait(restored));
     world.pass(50);
     assert_eq!((errors(&world), world.sim.axes()[0]), (vec![HResult::E_COMMAND_BUFFER_EMPTY], 0.6));
-    // what came during the loss is never answered
+    // a call that arrived during the loss is never answered
     world.pass(50);
     assert!(matches!(world.again(client.peer, &late).0, Outcome::Done(_)));
     assert_eq!(world.sim.deliver(client.peer, &mut frame), Delivery::Drop);
@@ -322,7 +322,7 @@ fn each_thing_that_slave_mode_needs_can_be_missing_at_the_beginning() {
         ("motor = false", HResult::E_MOTOR_OFF),
         ("licence = false", HResult::E_NO_LICENSE),
     ] {
-        // all is well but for that: the motor is on where it can be, the arm is taken where it is free
+        // only this condition is violated: the motor is on where possible, the arm is taken where it is free
         let can_be_on = ![HResult::E_ERROR_PRESENT, HResult::E_MOTOR_OFF, EMERGENCY_STOP].contains(&missing);
         let (mut world, client) = begun(&format!("{section}\n{}", if can_be_on { "motor = true" } else { "" }));
         if world.robot(client, "TakeArm", [0, 1]).0.is_err() && missing != HResult::E_ERROR_PRESENT {

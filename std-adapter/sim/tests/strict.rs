@@ -63,7 +63,7 @@ fn an_unknown_option_is_refused_or_ignored_by_name() {
             world.call(peer, call::task_stop(task, 1, "fast")).0,
         ];
         let expected = if lenient { HResult::S_OK } else { HResult::E_INVALIDARG };
-        // stopping a task that stands has nothing to do
+        // stopping a stopped task has no effect
         let as_expected = |result: &HResult| *result == expected || lenient && *result == HResult::S_FALSE;
         assert!(results.iter().all(as_expected), "{lenient} {results:?}");
         let named: Vec<_> = ["Servr", "@IfMember", "@IfNotMembr", "x", "x", "x", "fast"].to_vec();

@@ -276,7 +276,7 @@ fn both_protocols_see_one_state() {
     assert_eq!(world.put(client, "@LOCK", true), HResult::E_CAO_NOT_WRITABLE);
     assert_eq!(world.get(client, "I1"), ok(&0));
 
-    // a client of RAC that goes takes nothing with it, whatever its number
+    // a RAC client that disconnects releases nothing of the b-CAP client with the same number
     bcap_core::rac::server::Handler::left(&mut world.sim, client.peer, world.now);
     assert_eq!(world.get(client, "I1"), ok(&0));
 }

@@ -155,7 +155,7 @@ async function readLog() {
   try {
     const { robot } = current;
     const rows = await order("log", { robot });
-    // another robot may be shown meanwhile
+    // the page may show another robot by now
     if (robot !== current.robot) return;
     log = { robot, rows };
     drawLog();

@@ -1,5 +1,5 @@
 // The screen of a jog: a robot moves by short steps while a button is held. The page answers each pulse of the server with a
-// heartbeat; the server halts the robot without one. Whatever takes the page away from its user ends the jog at once.
+// heartbeat; the server halts the robot without one. The jog ends immediately when the user leaves the page.
 
 import { ask, byId, make, notify, notifyFailure, setText, withUnit } from "./dom.js";
 import { beat, order } from "./net.js";
@@ -114,7 +114,7 @@ function axisRow(name) {
     const element = make("button", { type: "button", className: "jog", "aria-label": `${name} ${sign < 0 ? "minus" : "plus"}` }, sign < 0 ? "−" : "+");
     element.onpointerdown = (event) => down(event, element, name, sign);
     element.onpointerup = (event) => up(event.pointerId);
-    // a button that is lifted while another one is down has no pointerup
+    // a button that is lifted while another is down has no pointerup
     element.onpointermove = (event) => !(event.buttons & 1) && up(event.pointerId);
     element.onpointercancel = () => state.held && drop("the pointer was lost");
     element.onlostpointercapture = (event) => state.held?.by === event.pointerId && drop("the pointer was lost");
@@ -176,7 +176,7 @@ function drop(why) {
   release();
   if (!state.isOn) return;
   state.isOn = false;
-  // the page may show another robot meanwhile
+  // the page may show another robot by now
   order("endjog", { robot: state.robot, why }).catch(() => {});
 }
 
@@ -196,7 +196,7 @@ async function start() {
   state.isLeft = false;
   try {
     const number = await order("grip", { robot, name: tile.name, revoked: tile.revoked });
-    // the first pulse comes after the answer; a short jog may end before it
+    // the first pulse follows the answer; a short jog may end before it
     Object.assign(state, { isOn: true, robot, jog: number });
     endIfOver();
     if (document.hidden || state.isLeft || state.page.robot !== robot) drop("the page was left");
@@ -236,7 +236,7 @@ addEventListener("blur", () => {
   drop("the window has lost the focus");
 });
 addEventListener("pagehide", () => drop("the page was left"));
-// a finger or a button that is not the one that is held
+// a second finger or button
 addEventListener("pointerdown", (event) => {
   if (state.held && event.pointerId !== state.held.by && event.target !== byId("halt")) drop("a second pointer was used");
 }, true);

@@ -26,7 +26,7 @@ export function login(done, halt) {
   const form = make("form", { onsubmit }, make("label", { for: "password" }, "Password"), password, make("button", { type: "submit", id: "log-in", className: "primary" }, "Log in"));
   const button = make("button", { type: "button", id: "login-halt", className: "halt", onclick: halt }, "HALT");
   dialog = make("dialog", { "aria-labelledby": "login-title" }, button, make("ul", { className: "alerts", role: "alert" }), make("h2", { id: "login-title" }, `Log in to ${location.host}`), form, why);
-  // there is nothing to see without the password
+  // without the password the page has no content
   dialog.addEventListener("cancel", (event) => event.preventDefault());
   document.body.append(dialog);
   dialog.showModal();

@@ -148,7 +148,7 @@ function follow(last) {
   const ways = [(tile) => idOf(tile) === idOf(was), (tile) => tile.name === was.name];
   const found = ways.map((is) => page.tiles.findIndex(is)).find((robot) => robot >= 0);
   page.robot = found ?? 0;
-  // its question, and what the screens keep by number, is of the old robots
+  // the question, and the state that screens keep by number, belong to the old robots
   byId("question").close("no");
   for (const known of SCREENS) known.forget?.();
   if (found === undefined) alertOf("Robot", `${was.name} is no longer a robot of bcap web: this page shows ${page.tile.name}`);
@@ -168,7 +168,7 @@ function isTyping(event) {
 /** Halts the robot of an open question, whose name its HALT has, or the robot of the page. */
 const haltShown = () => haltRobot(askedOf() ?? page.robot);
 
-// a dialog has its own HALT, because the header is inert meanwhile
+// a dialog has its own HALT, because it makes the header inert
 for (const id of ["halt", "question-halt"]) byId(id).onclick = haltShown;
 byId("robots").onchange = (event) => page.select(Number(event.target.value));
 document.addEventListener("keydown", (event) => {

@@ -1,4 +1,4 @@
-// The connection to `bcap web`: live sections, orders with answers, and HALT, which has a connection of its own.
+// The connection to `bcap web`: live sections, orders with answers, and HALT, over a separate connection.
 
 const token = takeToken();
 const handlers = new Map();

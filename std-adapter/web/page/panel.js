@@ -1,5 +1,5 @@
 // The panel of the virtual controller of `bcap sim --web`: the emergency stop, the mode switch, errors, faults of the link, any
-// scenario, and the time factor. A button plays a scenario; one without faults leaves the faults of the last one.
+// scenario, and the time factor. A button plays a scenario; a scenario without faults keeps the faults of the previous one.
 
 import { make, notify, setText } from "./dom.js";
 import { order } from "./net.js";

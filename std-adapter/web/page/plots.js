@@ -24,7 +24,7 @@ export const plots = {
   open(main, page) {
     state.page = page;
     state.cursor = null;
-    // those of another robot, or of an earlier time
+    // of another robot, or of an earlier time
     state.variables = [];
     const canvas = make("canvas", { className: "plot", tabIndex: 0, role: "img", "aria-label": "Plot of the chosen numbers over time" });
     const choices = make("fieldset", { className: "choices" }, make("legend", {}, "Numbers; variables are chosen on their screen"));
@@ -41,7 +41,7 @@ export const plots = {
     canvas.onwheel = (event) => { event.preventDefault(); step(Math.sign(event.deltaY)); };
     main.append(make("div", { className: "row" }, pause, zoom, csv, mcap), canvas, legend, choices);
     drawChoices();
-    // also when the window has another size
+    // draws again when the window changes its size
     new ResizeObserver(draw).observe(canvas);
   },
   draw(rows) {

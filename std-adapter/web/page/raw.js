@@ -236,7 +236,7 @@ async function repeat(times, make) {
       if (n > 0) await new Promise((resolve) => { setTimeout(resolve, Math.max(SHORTEST, Number(parts.interval.value) || 0)); });
       if (state.loop !== loop || !parts.reply.isConnected) break;
       const reply = await make(n);
-      // another robot may be shown meanwhile
+      // the page may show another robot by now
       drawReply(parts, reply, times > 1 ? `${n + 1} of ${times}: ` : "");
       if (!reply.ok) break;
     }

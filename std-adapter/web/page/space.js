@@ -38,7 +38,7 @@ export function newSpace() {
     act();
   };
   new ResizeObserver(() => render(view)).observe(canvas);
-  // a robot at rest is not drawn again by itself
+  // otherwise a robot at rest is not drawn again
   scheme.onchange = () => render(view);
   const figure = make("figure", {}, make("figcaption", {}, "3D: drag or arrow keys turn it, the wheel, + and − change its size, Home resets it"), canvas);
   const draw = (chain, commanded, path, position) => {

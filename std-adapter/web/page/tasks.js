@@ -71,7 +71,7 @@ async function readLines(parts) {
       if (!isPlain || !runs(status)) continue;
       const line = await order("line", { robot, name }).catch(() => null);
       if (!parts.body.isConnected) return;
-      // it may have ended meanwhile
+      // it may have ended by now
       const n = state.rows.findIndex(([of, now]) => of === name && runs(now));
       if (n < 0) continue;
       state.lines.set(name, line);

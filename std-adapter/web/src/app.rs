@@ -17,7 +17,7 @@ use crate::threads::{lock, spawn};
 /// The maximum number of pages.
 pub(crate) const PAGES: usize = 16;
 
-/// The longest time that the end of the server waits for halts, for the arms to be given back, and for orders under way.
+/// Maximum time that the end of the server waits for halts, for the arms to be given back, and for running orders.
 const END: Duration = Duration::from_secs(10);
 
 /// The state that all connections share.

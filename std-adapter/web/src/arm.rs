@@ -18,7 +18,7 @@ fn geometry(type_name: &str) -> Option<Geometry> {
     Some(geometry)
 }
 
-/// The longest tool, in mm. A longer one moves faster than the speed that is computed; a jog measures it, and halts.
+/// Maximum length of a tool, in mm. A longer tool moves faster than the computed speed; a jog measures that, and halts.
 const TOOL: f64 = 500.0;
 
 /// The speed for an arm without a model file, in percent: 1 % of 720 degrees/s at 2 m is 250 mm/s.

@@ -12,7 +12,7 @@ const KEPT: usize = 100;
 /// Takes the lines.
 pub(crate) struct Audit {
     line: Box<dyn Fn(&str) + Send + Sync>,
-    /// The last lines, the latest first.
+    /// The last lines, in reverse order.
     last: Mutex<VecDeque<String>>,
 }
 
@@ -21,7 +21,8 @@ impl Audit {
         Self { line: Box::new(line), last: Mutex::default() }
     }
 
-    /// Writes a line: when, who, at which robot, what, and the outcome. Each part is cut alone, so that the outcome stays.
+    /// Writes a line: when, who, at which robot, what, and the outcome. Each part is shortened separately, so that the outcome
+    /// is never cut off.
     pub(crate) fn write<T>(&self, who: &str, robot: &str, what: &str, outcome: &Result<T, String>) {
         let outcome = outcome.as_ref().err().map_or("done", String::as_str);
         let time = now().map(|date| format!("{date}Z ")).unwrap_or_default();
@@ -33,7 +34,7 @@ impl Audit {
         last.truncate(KEPT);
     }
 
-    /// Returns the last lines, the latest first.
+    /// Returns the last lines, in reverse order.
     pub(crate) fn last(&self) -> Vec<String> {
         lock(&self.last).iter().cloned().collect()
     }

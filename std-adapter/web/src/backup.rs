@@ -76,7 +76,7 @@ impl Page {
         let path = path_in(self.folder()?, &work.folder)?;
         let with = work.with.as_deref().map(|with| path_in(self.folder()?, with)).transpose()?;
         let mut last = lock(&robot.backup);
-        // under the lock: a HALT after it ends this restore
+        // under the lock: a HALT after this check ends this restore
         revoked.map_or(Ok(()), |since| robot.check_since(since))?;
         if last.as_ref().is_some_and(|last| lock(&last.state).outcome.is_none()) {
             return Err("the last work on backups of this robot has not ended; end it, or wait".into());

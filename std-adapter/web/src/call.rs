@@ -37,7 +37,7 @@ impl Page {
             Arc::clone(motions.desk.get_or_insert_with(|| Arc::new(Desk::new(number, Arc::clone(&robot)))))
         };
         let (app, mut permit) = (Arc::clone(&self.app), robot.permit_since(revoked));
-        // on a thread that goes on when the page is closed, so that its line of the audit is written
+        // on a thread that continues when the page is closed, so that the call is written to the audit log
         let made = self.app.work.spawn_blocking(move || {
             let made = desk.make(&request, &mut permit);
             drop(permit);

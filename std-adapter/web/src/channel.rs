@@ -19,25 +19,25 @@ use crate::robot::LONGEST_WAIT;
 use crate::text::safe;
 use crate::threads::lock;
 
-/// The longest time for a message to a page. A page that does not take it is closed.
+/// Maximum time to send a message to a page. A page that does not accept it in time is closed.
 const SEND: Duration = Duration::from_secs(10);
 
-/// How often a page that holds a robot gets a pulse, to which it answers with a heartbeat.
+/// Interval of the pulses to a page that holds a robot. The page answers each pulse with a heartbeat.
 const PULSE: Duration = Duration::from_millis(40);
 
-/// The pulses whose heartbeats count: those of the last [`LOST`].
+/// Number of pulses whose heartbeats count: the pulses of the last [`LOST`].
 const PULSES: usize = 50;
 
-/// The longest time without a heartbeat for a page that may make calls that move.
+/// Maximum time without a heartbeat for a page that may make calls that move the robot.
 const LOST: Duration = Duration::from_secs(2);
 
-/// The longest time without any message from a page. Its browser answers a ping each second, also while the page is hidden.
+/// Maximum time without any message from a page. Its browser answers a ping every second, even while the page is hidden.
 const SILENT: Duration = Duration::from_secs(10);
 
 /// The maximum number of orders that wait while one is carried out.
 const PENDING: usize = 32;
 
-/// The answer of a page to a pulse: it is open, visible, and its scripts run. It has no answer.
+/// Reply of a page to a pulse: it is open, visible, and its scripts run. The server does not acknowledge it.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Beat {
@@ -49,11 +49,11 @@ struct Beat {
 /// The WebSocket of a page, and the heartbeats of its jog.
 pub(crate) struct Channel {
     socket: WebSocket,
-    /// Orders that arrived while another one was carried out.
+    /// Orders that arrived while another order was running.
     pending: VecDeque<Received>,
     app: Arc<App>,
     client: Client,
-    /// How often an order has ended what the page moves, while another one was carried out.
+    /// Number of orders that ended motions of the page while another order was running.
     ends: u64,
     motions: SharedMotions,
     /// When the last message of the page arrived.
@@ -63,11 +63,11 @@ pub(crate) struct Channel {
     pulse: Interval,
     /// The number of the last pulse.
     last: u64,
-    /// When the last pulses were sent, the latest first.
+    /// The times of the last pulses, in reverse order.
     sent: VecDeque<Instant>,
 }
 
-/// An order of a page, when it was received, and how often something was ended or revoked before.
+/// An order of a page, with its time of receipt and the count of ends and revocations before it.
 pub(crate) struct Received {
     /// The order with its number; `None` if the text is not an order.
     pub(crate) order: Option<(u64, Order)>,
@@ -88,8 +88,8 @@ impl Channel {
         self.watched = is_watched.then(|| self.watched.unwrap_or_else(Instant::now));
     }
 
-    /// Shows a page that the server is alive; ends one that must send heartbeats and has sent none for too long, and one whose browser
-    /// does not answer.
+    /// Shows a page that the server is alive. Ends a page whose heartbeats are missing for too long, if it must send them, and
+    /// a page whose browser does not answer.
     pub(crate) async fn alive(&mut self) -> Option<()> {
         if self.watched.is_some_and(|last| last.elapsed() > LOST) || self.last_seen.elapsed() > SILENT {
             return None;
@@ -114,12 +114,12 @@ impl Channel {
         Received { order: Order::parse(text), since: Instant::now(), ends: self.count_ends() }
     }
 
-    /// Returns how often something was ended or revoked so far.
+    /// Returns the count of ends and revocations.
     fn count_ends(&self) -> u64 {
         self.ends + self.app.robots.iter().map(|robot| robot.revoked()).sum::<u64>()
     }
 
-    /// Returns why an order that changes something comes too late, if it does.
+    /// Returns why an order that changes something is too late, if it is.
     pub(crate) fn why_late(&self, order: &Received) -> Option<&'static str> {
         if order.since.elapsed() > LONGEST_WAIT {
             return Some("it waited for more than 2 s behind other orders; nothing was done");
@@ -128,7 +128,7 @@ impl Channel {
         (order.ends != self.count_ends()).then_some(why)
     }
 
-    /// Takes orders while another one is carried out. Ends only at the end of the page.
+    /// Receives orders while another order is running. Ends only at the end of the page.
     pub(crate) async fn hold(&mut self) -> Option<()> {
         while self.pending.len() < PENDING {
             let text = self.receive().await?;
@@ -144,7 +144,7 @@ impl Channel {
         std::future::pending().await
     }
 
-    /// Ends at once what this order ends, because the order under way may take a minute.
+    /// Immediately ends the motions that this order ends, because the running order may take a minute.
     fn end_early(&mut self, order: &Order) {
         match order {
             Order::Lift { .. } => drop(self.grip().map(|grip| grip.lift())),
@@ -180,7 +180,7 @@ impl Channel {
         lock(&self.motions).grip.as_ref().map(|(_, grip)| Arc::clone(grip))
     }
 
-    /// Receives the next order. Sends pulses and records heartbeats meanwhile.
+    /// Receives the next order. Sends pulses and records heartbeats while it waits.
     async fn receive(&mut self) -> Option<String> {
         loop {
             tokio::select! {

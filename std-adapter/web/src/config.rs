@@ -29,9 +29,9 @@ pub struct Config {
     pub panel: Option<Arc<Mutex<Paced>>>,
     /// The folder of the backups. Without it the page makes no backups.
     pub backups: Option<PathBuf>,
-    /// The recordings. Without them the page records nothing.
+    /// The recordings; `None` disables them.
     pub recordings: Option<Recordings>,
-    /// The replay, if the only robot is one: the page says so, and which requests the capture lacks.
+    /// The replay, if the only robot is one: the page says so, and shows which requests are missing in the capture.
     pub replay: Option<Replay>,
     /// TLS and a password, without which no other computer can reach the server.
     pub remote: Option<Remote>,
@@ -46,7 +46,7 @@ pub struct Recordings {
     pub limit: u64,
 }
 
-/// The requests that the capture of a replay lacks: their number, and the last one. Clones share them.
+/// The requests that are missing in the capture of a replay: their number, and the last request. Clones share them.
 #[derive(Clone, Debug, Default)]
 pub struct Replay(Arc<Mutex<(u64, String)>>);
 

@@ -1,4 +1,4 @@
-//! Who controls a robot: one page at a time, under a visible name.
+//! The control of a robot: one page at a time has it, under a visible name.
 
 use std::sync::Mutex;
 
@@ -7,7 +7,7 @@ use crate::threads::lock;
 /// The number of an open page, which is used once.
 pub(crate) type Client = u64;
 
-/// The longest name.
+/// Maximum length of a name.
 const LONGEST: usize = 40;
 
 /// The holder of the control of a robot.
@@ -15,7 +15,7 @@ const LONGEST: usize = 40;
 pub(crate) struct Control(Mutex<Option<(Client, String)>>);
 
 impl Control {
-    /// Takes the control. Only its release, or the loss of the holder's page, frees it for another one.
+    /// Takes the control. Only its release, or the loss of the holder's page, frees it for another page.
     pub(crate) fn take(&self, client: Client, name: &str) -> Result<(), String> {
         let name = cleaned(name);
         if name.is_empty() {

@@ -1,7 +1,7 @@
-//! Checks of requests: only a page of this server, opened with its token, may ask for anything but the files of the page.
+//! Checks of requests: only a page of this server, opened with its token, may request anything but the files of the page.
 //!
 //! A page of another site can send requests to this server from the user's browser. It cannot read the token, its `Origin`
-//! is another one, and after DNS rebinding its `Host` is the name of that site.
+//! differs, and after DNS rebinding its `Host` is the name of that site.
 
 use std::net::SocketAddr;
 
@@ -30,7 +30,7 @@ pub(crate) struct Guard {
 }
 
 impl Guard {
-    /// Draws the token of a server. The first host is the one that is printed.
+    /// Draws the token of a server. The first host is printed.
     pub(crate) fn new(address: SocketAddr, remote: Option<Remote>) -> Result<Self, getrandom::Error> {
         let (token, port) = (secret()?, address.port());
         let (names, scheme, default_port, login) = match remote {

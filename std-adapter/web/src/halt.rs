@@ -1,4 +1,4 @@
-//! HALT: a thread and a connection for each robot that do nothing else, so that it waits for no other call.
+//! HALT: each robot has a separate thread and connection for it, so that it does not wait for other calls.
 
 use std::iter::once;
 use std::mem::replace;
@@ -16,7 +16,7 @@ use crate::threads::lock;
 /// The outcome of a halt: the robot was seen at rest, or why it may still move.
 pub(crate) type Outcome = Result<String, String>;
 
-/// The outcome of a halt that had nothing to stop.
+/// The outcome of a halt of a robot at rest.
 pub(crate) const AT_REST: &str = "the robot was at rest; nothing was moving";
 
 /// A press of HALT, which waits for its outcome.
@@ -44,10 +44,10 @@ impl Halter {
     pub(crate) fn prepare(&self) {
         let mut opened = Stopper::new(self.access.clone());
         if opened.prepare().is_err() {
-            // perhaps the last one is still there; a halt replaces a lost one, and reports why it cannot
+            // the last session may still exist; a halt replaces a lost session, or reports why it cannot
             return;
         }
-        // a halt under way replaces a lost session itself
+        // a running halt replaces a lost session itself
         let last = self.stopper.try_lock().map(|mut stopper| replace(&mut *stopper, opened));
         drop(last);
     }
@@ -57,7 +57,7 @@ impl Halter {
         self.begin().await.unwrap_or_else(|_| ended())
     }
 
-    /// Halts the robot as [`halt`](Self::halt) does, and blocks the thread meanwhile.
+    /// Halts the robot as [`halt`](Self::halt) does, but blocks the thread.
     pub(crate) fn halt_now(&self) -> Outcome {
         self.begin().blocking_recv().unwrap_or_else(|_| ended())
     }
@@ -76,7 +76,7 @@ fn ended() -> Outcome {
 
 fn run(stopper: &Mutex<Stopper>, presses: &Receiver<Press>) {
     while let Ok(first) = presses.recv() {
-        // presses that came during the last halt get one outcome
+        // presses that arrived during the last halt get one outcome
         let all: Vec<_> = once(first).chain(presses.try_iter()).collect();
         let outcome = halt(&mut lock(stopper));
         for press in all {

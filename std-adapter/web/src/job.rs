@@ -21,7 +21,7 @@ const LINES: usize = 500;
 pub(crate) enum Kind {
     /// Saves the controller in a folder.
     Dump,
-    /// Compares a folder with another one, or with the controller.
+    /// Compares a folder with another folder, or with the controller.
     Diff,
     /// Plans a restore.
     Plan,
@@ -66,7 +66,7 @@ pub(crate) struct State {
 }
 
 impl Job {
-    /// Ends the job between two calls. An ended dump or restore can go on.
+    /// Ends the job between two calls. An ended dump or restore can be continued.
     pub(crate) fn end(&self, why: &str) {
         lock(&self.state).end.get_or_insert_with(|| why.to_owned());
     }

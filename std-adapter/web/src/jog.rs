@@ -17,10 +17,10 @@ use crate::socket::{Answer, Page};
 use crate::text::safe;
 use crate::threads::lock;
 
-/// How often the watch looks.
+/// Interval of the checks of the watch.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// The time in which the jog thread halts a robot by itself. After it the connection of HALT halts the robot.
+/// The time in which the jog thread must halt the robot. After that the connection of HALT halts it.
 const IN_TIME: Duration = Duration::from_millis(150);
 
 impl Page {
@@ -31,7 +31,7 @@ impl Page {
         self.end_motion("a jog begins");
         let grip = Arc::new(Grip::default());
         let mut last = lock(&robot.grip);
-        // under the lock: a HALT after it ends this jog
+        // under the lock: a HALT after this check ends this jog
         robot.check_since(revoked)?;
         if last.as_ref().is_some_and(|last| last.phase() != Phase::Ended) {
             return Err("the last jog of this robot has not ended; wait a moment".into());
@@ -85,7 +85,7 @@ async fn watch(app: Arc<App>, robot: Arc<Robot>, who: String, grip: Arc<Grip>) {
     let (mut since, mut halts) = (None, 0);
     while grip.phase() != Phase::Ended {
         sleep(LOOK).await;
-        // without a step of this jog under way, a halt would stop tasks of others
+        // unless a step of this jog is in progress, a halt would stop tasks of other clients
         if !grip.must_halt() {
             (since, halts) = (None, 0);
             continue;
@@ -93,7 +93,7 @@ async fn watch(app: Arc<App>, robot: Arc<Robot>, who: String, grip: Arc<Grip>) {
         let since = *since.get_or_insert_with(Instant::now);
         if since.elapsed() > IN_TIME && halts < HALTS {
             let outcome = robot.halter.halt().await;
-            // a step that was sent before may begin after a halt that has found nothing
+            // a step that was sent earlier may begin after a halt that found the robot at rest
             halts += if outcome.as_deref().is_ok_and(|text| text != AT_REST) { HALTS } else { 1 };
             app.audit.write(&who, &robot.name, "the jog did not halt in time: HALT", &outcome);
             sleep(AGAIN).await;

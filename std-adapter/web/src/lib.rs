@@ -119,7 +119,7 @@ impl Server {
     ///
     /// # Errors
     ///
-    /// An [`Error`]; nothing runs then.
+    /// An [`Error`]; no server is started then.
     pub async fn bind(mut config: Config, audit: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, Error> {
         let (listen, robots, remote) = (config.listen, std::mem::take(&mut config.robots), config.remote.take());
         if remote.is_none() && !listen.ip().is_loopback() {
@@ -146,7 +146,8 @@ impl Server {
         Ok(Self { listener, tls, app: Arc::new(app) })
     }
 
-    /// Returns the address of the page. It has the token of a server without a password; anyone who has it may use the page.
+    /// Returns the address of the page. Without a password it contains the token of the server: anyone who has the address may
+    /// use the page.
     #[must_use]
     pub fn url(&self) -> String {
         self.app.guard.url()

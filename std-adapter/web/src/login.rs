@@ -14,8 +14,8 @@ use tokio::time::{Instant, timeout_at};
 use crate::secret::{Bucket, Refused, is_same, only, secret};
 use crate::threads::lock;
 
-/// The beginning of the name of the cookie. With it a browser takes the cookie over TLS only, for this host only. The port follows,
-/// because the servers of a host share its cookies.
+/// The prefix of the cookie's name. With this prefix a browser accepts the cookie only over TLS and only for this host. The
+/// port follows, because all servers of a host share its cookies.
 const NAME: &str = "__Host-bcap-";
 
 /// The lifetime of a session.
@@ -27,7 +27,7 @@ const SESSIONS: usize = 64;
 /// The maximum number of hosts whose attempts are counted one by one. Further hosts share one count.
 const HOSTS: usize = 1024;
 
-/// The shortest password, in characters.
+/// Minimum length of a password, in characters.
 pub(crate) const SHORTEST: usize = 12;
 
 /// A password, and the sessions of its users.
@@ -53,10 +53,10 @@ pub(crate) struct Open {
 }
 
 impl Open {
-    /// Waits for the end of a session. Waits for ever on a server without a login.
+    /// Waits for the end of a session. Waits forever on a server without a login.
     pub(crate) async fn ended(session: Option<Self>) {
         let Some(Self { since, mut open }) = session else { return pending().await };
-        // nothing is sent: the sender is dropped
+        // no value is sent: the sender is dropped
         let _ = timeout_at(since + LIFETIME, open.changed()).await;
     }
 }
@@ -161,7 +161,7 @@ mod tests {
         assert!(status(host(2), "correct horse battery").is_ok(), "another host is not locked out");
         tokio::time::advance(Duration::from_secs(10)).await;
         assert!(status(host(1), "correct horse battery").is_ok());
-        // the end of its time ends the pages of a session, too
+        // the pages of a session also end when its lifetime ends
         let start = Instant::now();
         Open::ended(Some(open)).await;
         assert_eq!(start.elapsed(), LIFETIME - Duration::from_secs(10));

@@ -1,4 +1,4 @@
-//! The motions of a page. They end also while an order of the page is under way.
+//! The motions of a page. They can be ended even while an order of the page is running.
 
 use std::sync::{Arc, Mutex};
 

@@ -24,8 +24,8 @@ pub(crate) enum Screen {
     Session,
 }
 
-/// An order of a page. `revoked` is how often orders of the robot were revoked before the user was asked, as its tile said: a HALT
-/// after it refuses the order, however late the order arrives.
+/// An order of a page. `revoked` is the revocation count that the robot's tile showed when the user was asked. A HALT after
+/// that makes the server refuse the order, no matter how late it arrives.
 #[derive(Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub(crate) enum Order {
@@ -41,7 +41,7 @@ pub(crate) enum Order {
     Check { robot: usize, name: String, text: String },
     /// Checks the position of the resting robot for a variable of type P.
     Teach { robot: usize, name: String },
-    /// Writes the value of the check with this number, which must be the last one.
+    /// Writes the value of the check with this number, which must be the last check.
     Write { robot: usize, check: u64, revoked: u64 },
     /// Clears the errors.
     Clear { robot: usize, revoked: u64 },
@@ -98,7 +98,7 @@ pub(crate) enum Order {
 }
 
 impl Order {
-    /// Returns whether it may move a robot or change the controller, so that it must not come late.
+    /// Returns whether it may move a robot or change the controller, so that it must not be late.
     pub(crate) const fn changes(&self) -> bool {
         match self {
             Self::Task { what, .. } => matches!(what, What::Once | What::Forever | What::Step),
@@ -120,14 +120,14 @@ impl Order {
     }
 }
 
-/// A call of the user, who was asked once for all calls of a loop.
+/// A call that the user has confirmed; one confirmation covers all calls of a loop.
 #[derive(Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Agreed {
     pub(crate) robot: usize,
     /// The name of the robot in the question.
     pub(crate) name: String,
-    /// How often orders were revoked before the question, as the tile of the robot says.
+    /// The revocation count that the robot's tile showed at the question.
     pub(crate) revoked: u64,
     /// Whether the loop has made this call before.
     pub(crate) repeats: bool,
@@ -143,10 +143,10 @@ pub(crate) enum What {
     Forever,
     /// Runs one step of the program.
     Step,
-    /// Stops at once.
+    /// Stops immediately.
     Stop,
     /// Stops after the current cycle.
     Cycle,
-    /// Stops at once; the next start begins at the first line.
+    /// Stops immediately; the next start begins at the first line.
     Reset,
 }

@@ -32,7 +32,7 @@ pub(crate) fn section(controller: &Mutex<Paced>) -> Value {
     })
 }
 
-/// Plays a scenario. One without faults and tasks changes the state, and the faults of the last one go on.
+/// Plays a scenario. A scenario without faults and tasks only changes the state; the faults of the previous scenario continue.
 pub(crate) fn play(controller: &Mutex<Paced>, text: &str) -> Result<(), String> {
     let scenario = Scenario::parse(text).map_err(|error| format!("nothing was changed: {error}"))?;
     let mut paced = advanced(controller);

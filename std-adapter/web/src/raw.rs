@@ -1,8 +1,9 @@
 //! Any of the 137 functions, over a session of the page for these calls alone.
 //!
-//! The function table of the core makes the form, and its effects decide which calls a page may make: a call that reads needs
-//! nothing, one that writes needs `allow_write` and the control, one that moves needs `allow_motion` and the control. A call that
-//! would end a stream of Slave Mode is not sent. The session ends with the screen, which halts the robot and gives the arm back.
+//! The function table of the core defines the form, and its effects determine which calls a page may make: a call that reads
+//! needs no permission, a call that writes needs `allow_write` and the control, a call that moves needs `allow_motion` and the
+//! control. A call that would end a stream of Slave Mode is not sent. The session ends with the screen, which halts the robot
+//! and gives the arm back.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -25,7 +26,7 @@ use crate::text::safe;
 use crate::threads::lock;
 use crate::view::{self, dissected};
 
-/// Returns the function table: what a form needs.
+/// Returns the function table, for the form.
 pub(crate) fn functions() -> Value {
     let row = |function: FunctionId| {
         let kinds = function.signature().map(|signature| signature.arguments).unwrap_or_default();
@@ -64,7 +65,7 @@ pub(crate) struct Desk {
     robot: Arc<Robot>,
     link: Mutex<Option<Link>>,
     packets: Packets,
-    /// Whether a call that moves is under way.
+    /// Whether a call that moves the robot is running.
     moves: AtomicBool,
     has_ended: AtomicBool,
 }
@@ -75,7 +76,7 @@ impl Desk {
         Self { number, robot, link: Mutex::default(), packets: Packets::new(), moves, has_ended }
     }
 
-    /// Makes a call, and opens the session for the first one.
+    /// Makes a call; the first call opens the session.
     pub(crate) fn make(&self, request: &Request, permit: &mut Permit) -> Result<(HResult, Value), String> {
         let mut link = lock(&self.link);
         self.check_open().map_err(|error| error.to_string())?;
@@ -86,7 +87,7 @@ impl Desk {
         let mut session = session.map_err(|error| format!("nothing was done: {error}"))?;
         let start = Instant::now();
         let made = request.perform(&mut session, || {
-            // before the check: an end after it sees that a call moves
+            // before the check, so that an end after the check sees the call
             self.moves.store(request.effect() == Effect::Moves, Ordering::SeqCst);
             self.check_open()?;
             match request.effect() {

@@ -18,11 +18,11 @@ use crate::threads::{on_disk, spawn};
 /// The maximum number of recordings that a page shows.
 const FILES: usize = 200;
 
-/// The longest time for the last packets of the recordings.
+/// Maximum time for the last packets of the recordings.
 const FINISH: Duration = Duration::from_secs(2);
 
 impl Page {
-    /// Starts the recordings of all robots, or ends them. It is no order to a robot, so it needs no control.
+    /// Starts the recordings of all robots, or ends them. It is not an order to a robot, so it does not need the control.
     pub(crate) async fn record(&self, starts: bool) -> Answer {
         let done = self.with_disk(if starts { start } else { stop }).await;
         let what = if starts { "starts a recording" } else { "ends the recording" };
@@ -30,7 +30,7 @@ impl Page {
         done
     }
 
-    /// Lists the recordings, the latest first.
+    /// Lists the recordings, in reverse order.
     pub(crate) async fn recordings(&self) -> Answer {
         self.with_disk(|_, settings| {
             let names = names_in(&settings.folder)?;
@@ -56,11 +56,11 @@ fn start(app: &App, Recordings { folder, limit }: &Recordings) -> Answer {
     start_each(app.robots.iter().map(|robot| &robot.access.tap), folder, *limit)
 }
 
-/// Starts a recording of each robot, or of none. The time names the files.
+/// Starts a recording of each robot; if one fails, of no robot. The time names the files.
 fn start_each<'a>(taps: impl Iterator<Item = &'a Tap> + Clone, folder: &Path, limit: u64) -> Answer {
     let time = now().map(|time| time.to_string().replace([':', '.'], "-")).unwrap_or_default();
     for (number, tap) in (1..).zip(taps.clone()) {
-        // the other recordings are those of another page that starts them at the same time
+        // the other recordings belong to another page that starts them at the same time
         let undo = || taps.clone().take(number - 1).for_each(|tap| drop(tap.stop()));
         tap.start(&folder.join(format!("{time}-{number}.pcapng")), limit).inspect_err(|_| undo())?;
     }

@@ -19,14 +19,15 @@ use crate::threads::lock;
 const ENTRIES: usize = 50;
 
 impl Page {
-    /// Begins a recovery. Nothing is changed before the user agrees to the first step. `name` is the robot's name in the question.
+    /// Begins a recovery. It changes nothing before the user agrees to the first step. `name` is the robot's name in the
+    /// question.
     pub(crate) fn begin_recovery(&self, number: usize, name: &str, revoked: u64) -> Answer {
         let (who, robot) = self.mover(number)?;
         robot.check_name(name)?;
         self.end_motion("a recovery begins");
         let recovery = Arc::new(Recovery::default());
         let mut last = lock(&robot.recovery);
-        // under the lock: a HALT after it ends this recovery
+        // under the lock: a HALT after this check ends this recovery
         robot.check_since(revoked)?;
         if last.as_ref().is_some_and(|last| last.state().outcome.is_none()) {
             return Err("the last recovery of this robot has not ended; wait a moment".into());

@@ -1,4 +1,4 @@
-//! A robot of the page: the thread that reads it, and what it has read.
+//! A robot of the page: the thread that reads it, and the values that were read.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -32,22 +32,22 @@ const INTERVAL: Duration = Duration::from_millis(200);
 /// The joints that the arm was commanded to.
 pub(crate) const TARGET: &str = "robot/@DEST_ANGLE";
 
-/// How often the state is examined, and a lost connection is tried again.
+/// Interval at which the state is read, and a lost connection is tried again.
 const SLOW: Duration = Duration::from_secs(1);
 
-/// The longest time that an order waits. An older one is refused: the user may have turned to something else.
+/// Maximum time that an order waits. An older order is refused, because the user may no longer pay attention to it.
 pub(crate) const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
-/// The age from which a state is not shown as the current one.
+/// States older than this are shown as unknown.
 const OLD: Duration = Duration::from_secs(3);
 
-/// The pause before a robot is halted again, because a call that began before the halt is still under way.
+/// The pause before a robot is halted again, because a call that began before the halt is still running.
 pub(crate) const AGAIN: Duration = Duration::from_millis(100);
 
-/// How often a robot is halted for the end of a page.
+/// Number of halts of a robot at the end of a page.
 pub(crate) const HALTS: u32 = 3;
 
-/// The longest time in which HALT waits for the end of such a call.
+/// Maximum time that HALT waits for the end of such a call.
 const LONGEST_HALT: Duration = Duration::from_secs(2);
 
 /// A robot of the page.
@@ -66,7 +66,7 @@ pub(crate) struct Robot {
     pub(crate) backup: Mutex<Option<Arc<Job>>>,
     /// The number of halts, and of releases of the control.
     revoked: Arc<AtomicU64>,
-    /// The number of calls under way that can move the robot.
+    /// The number of running calls that can move the robot.
     acting: Arc<AtomicUsize>,
     live: Arc<Mutex<Live>>,
     /// Its drop ends the thread that reads.
@@ -81,11 +81,11 @@ pub(crate) struct Live {
     pub(crate) examination: Option<Result<Examination, String>>,
     /// When it was read.
     pub(crate) examined: Option<Instant>,
-    /// Whether the controller says that it is a virtual one; `None` until it was asked.
+    /// Whether the controller reports that it is virtual; `None` until it was read.
     pub(crate) is_virtual: Option<bool>,
     /// `@TYPE_NAME` of the robot, if the controller has it.
     pub(crate) type_name: Option<String>,
-    /// The variables that each page has selected. They are read on other screens, too: for plots and recordings.
+    /// The variables that each page has selected. They are also read on other screens, for plots and recordings.
     pub(crate) names: BTreeMap<Client, Vec<String>>,
     /// The pages that show the arm.
     pub(crate) arms: HashSet<Client>,
@@ -95,7 +95,7 @@ pub(crate) struct Live {
     pub(crate) opened: Duration,
 }
 
-/// An order of a user. Without a session it answers that nothing was done. Fails when the session is lost.
+/// An order of a user. Without a session it answers that it was not carried out. Fails when the session is lost.
 type QueuedOrder = Box<dyn FnOnce(Option<&mut Link>) -> Result<(), Error> + Send>;
 
 impl Robot {
@@ -130,8 +130,8 @@ impl Robot {
         }
     }
 
-    /// Halts the robot for a user who has pressed HALT, and ends what pages change and move. A call that began before may reach the
-    /// controller after the halt, so the robot is halted again until such calls have ended.
+    /// Halts the robot for a user who has pressed HALT, and ends all orders, motions and restores of pages. A call that began
+    /// earlier may reach the controller after the halt, so the robot is halted again until such calls have ended.
     pub(crate) async fn halt(&self) -> Outcome {
         self.revoke();
         self.end_motion("HALT was pressed");
@@ -156,7 +156,8 @@ impl Robot {
         outcome
     }
 
-    /// Halts the robot while a call is under way: it may be sent at this moment, and come after the first halt. `why` is for the audit.
+    /// Halts the robot repeatedly while a call runs: a call that is just being sent may arrive after the first halt. `why` is
+    /// for the audit log.
     pub(crate) fn halt_while(&self, audit: &Audit, why: &str, moves: impl Fn() -> bool) {
         for _ in 0..HALTS {
             if !moves() {
@@ -187,22 +188,22 @@ impl Robot {
             || lock(&self.recovery).as_ref().is_some_and(|recovery| recovery.moves())
     }
 
-    /// Revokes the orders that are under way and change something: HALT was pressed, or the control was released.
+    /// Revokes the pending orders that change something: HALT was pressed, or the control was released.
     pub(crate) fn revoke(&self) {
         self.revoked.fetch_add(1, Ordering::SeqCst);
     }
 
-    /// Returns how often it was revoked.
+    /// Returns the revocation count.
     pub(crate) fn revoked(&self) -> u64 {
         self.revoked.load(Ordering::SeqCst)
     }
 
-    /// Fails if it was revoked after it had been revoked `since` times.
+    /// Fails if it was revoked after the count was `since`.
     pub(crate) fn check_since(&self, since: u64) -> Result<(), String> {
         self.permit_since(since).check().map_err(|error| reason(&error))
     }
 
-    /// Returns the permit of an order for which a user has agreed when the robot had been revoked `since` times.
+    /// Returns the permit of an order that a user confirmed at the revocation count `since`.
     pub(crate) fn permit_since(&self, since: u64) -> Permit {
         let (revoked, acting) = (Arc::clone(&self.revoked), Arc::clone(&self.acting));
         Permit { since, revoked, acting, moves: false }
@@ -252,9 +253,9 @@ impl Permit {
         (self.revoked.load(Ordering::SeqCst) == self.since).then_some(()).ok_or_else(|| Error::Skipped(why.into()))
     }
 
-    /// As [`check`](Self::check), for a call that can move the robot: a halt waits for its end.
+    /// Same as [`check`](Self::check), for a call that can move the robot: a halt waits for its end.
     pub(crate) fn check_move(&mut self) -> Result<(), Error> {
-        // before the check, so that a halt after it sees this call
+        // before the check, so that a halt after the check sees this call
         if !std::mem::replace(&mut self.moves, true) {
             self.acting.fetch_add(1, Ordering::SeqCst);
         }

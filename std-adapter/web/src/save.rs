@@ -63,7 +63,7 @@ async fn recording(State(app): State<Arc<App>>, Path(name): Path<String>) -> Che
     let folder = app.config.recordings.as_ref().map(|recordings| &recordings.folder).ok_or(none)?;
     let path = path_in(folder, &name).map_err(|_| none)?;
     let open = move || {
-        // opening another kind of file may wait for ever
+        // opening another kind of file may block forever
         let is_file = path.metadata().is_ok_and(|found| found.is_file());
         Ok(is_file.then(|| std::fs::File::open(path)).and_then(Result::ok))
     };

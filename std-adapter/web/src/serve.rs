@@ -34,10 +34,11 @@ use crate::text::safe;
 use crate::tls::Acceptor;
 use crate::{save, socket, tls};
 
-/// The maximum number of connections that are not pages. A further one ends the oldest, so that idle ones do not keep a halt out.
+/// The maximum number of connections that are not pages. A further connection ends the oldest, so that idle connections cannot
+/// block a halt.
 const CONNECTIONS: usize = 128;
 
-/// The longest time for the headers of a request, and for an idle connection.
+/// Maximum time for the headers of a request, and for an idle connection.
 const HEADERS: Duration = Duration::from_secs(10);
 
 /// The largest headers of a request.
@@ -46,7 +47,7 @@ const HEADER_SIZE: usize = 16 << 10;
 /// The largest order of a page.
 const ORDER_SIZE: usize = 64 << 10;
 
-/// The longest password.
+/// Maximum length of a password.
 const PASSWORD_SIZE: usize = 1 << 10;
 
 /// The protocol of the WebSocket; a page offers the token as a second one, because scripts cannot set its headers.
@@ -124,9 +125,10 @@ async fn checked(State((app, check)): State<(Arc<App>, Check)>, request: Request
     Ok(next.run(request).await)
 }
 
-/// Tells a page whether it must log in, or why its WebSocket is refused: scripts cannot read the response to that.
+/// Informs a page whether it must log in, or why its WebSocket is refused: scripts cannot read the response to a refused
+/// WebSocket.
 async fn session(State(app): State<Arc<App>>, headers: HeaderMap) -> Result<StatusCode, Refused> {
-    // 401 asks for the password
+    // 401 requests the password
     let status = |status| if app.guard.login.is_some() { status } else { StatusCode::FORBIDDEN };
     app.guard.check_user(&headers, only(&headers, TOKEN)).map_err(|(refused, why)| (status(refused), why))?;
     if app.pages.available_permits() == 0 {
@@ -137,7 +139,7 @@ async fn session(State(app): State<Arc<App>>, headers: HeaderMap) -> Result<Stat
 
 const TOO_MANY_PAGES: Refused = (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open; close one");
 
-/// Logs a user in, who gets a cookie.
+/// Logs a user in, and sets the cookie.
 async fn log_in(State(app): State<Arc<App>>, Extension(host): Extension<IpAddr>, password: Bytes) -> Checked {
     let cookie = app.guard.login.as_ref().ok_or(NO_PASSWORD)?.log_in(host, &password);
     with_cookie(&app, host, "logs in", cookie)
@@ -189,15 +191,15 @@ async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocke
 /// The maximum size of a robot's name in a request.
 const NAME_SIZE: usize = 16 << 10;
 
-/// Halts a robot. It needs no control, no `--allow-write`, and no open page. `name` may be empty: a page that shows the robots of an
-/// earlier server has old numbers, so the name decides.
+/// Halts a robot. It needs no control, no `--allow-write`, and no open page. `name` may be empty: a page that shows the robots
+/// of an earlier server has old numbers, so the name takes precedence.
 async fn halt(State(app): State<Arc<App>>, Path(number): Path<usize>, name: Bytes) -> Checked {
     let is_named = |robot: &&Arc<Robot>| safe(&robot.name).as_bytes() == name;
     let numbered = app.robots.get(number).filter(|robot| name.is_empty() || is_named(robot));
     let robot = numbered.or_else(|| app.robots.iter().find(is_named)).cloned();
     let robot = robot.ok_or((StatusCode::NOT_FOUND, "there is no such robot"))?;
     let of = Arc::clone(&app);
-    // a page that is closed meanwhile must not keep the halt from its line of the audit
+    // the halt is written to the audit log even if the page is closed in the meantime
     let halting = app.work.spawn(async move {
         let outcome = robot.halt().await;
         let what = outcome.as_deref().map_or_else(|_| "HALT".to_owned(), |outcome| format!("HALT, {outcome}"));

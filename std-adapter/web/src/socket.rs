@@ -26,10 +26,10 @@ use crate::text::safe;
 use crate::threads::lock;
 use crate::{panel, raw, view};
 
-/// How often a page gets what has changed.
+/// Interval at which a page gets changes.
 const TICK: Duration = Duration::from_millis(200);
 
-/// How often a page gets a message even if nothing has changed: without one it shows that its values are old.
+/// Interval at which a page gets a message even without changes. Without these messages it shows that its values are old.
 const ALIVE: Duration = Duration::from_secs(1);
 
 /// The maximum number of variables of a page.
@@ -63,12 +63,12 @@ struct Shown {
     screen: Screen,
     /// The last message of each section.
     sent: Vec<String>,
-    /// How many packets the page has.
+    /// The number of packets that the page has.
     packets: u64,
 }
 
 impl Drop for Page {
-    /// The loss of a page frees what it holds.
+    /// The loss of a page ends its motions, and frees the control that it holds.
     fn drop(&mut self) {
         self.end_motion("the page is closed");
         for robot in &self.app.robots {
@@ -86,7 +86,7 @@ pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
     let (shown, checked) = Default::default();
     let motions = SharedMotions::default();
     let mut channel = Channel::new(socket, Arc::clone(&app), client, Arc::clone(&motions));
-    // dropped before the channel, so that the loss of the page ends a jog at once
+    // dropped before the channel, so that the loss of the page ends a jog immediately
     let page = Page { app, client, shown, checked, motions };
     let _ = serve_page(&page, &mut channel, hello.to_string()).await;
 }
@@ -103,7 +103,7 @@ async fn serve_page(page: &Page, channel: &mut Channel, hello: String) -> Option
     for interval in [&mut clock.ticks, &mut clock.alive] {
         interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
     }
-    // 40 orders at once, and 20 each second
+    // a burst of 40 orders, and 20 per second
     let mut bucket = Bucket::new(40, Duration::from_millis(50));
     loop {
         channel.watch(page.is_watched());
@@ -126,7 +126,7 @@ async fn answer(
     let (late, id) = (channel.why_late(&received), received.order.as_ref().map(|(id, _)| *id));
     let refused = |why: &str| json!({ "t": "answer", "id": id, "error": safe(why) }).to_string();
     if !is_allowed {
-        // perhaps it was the end of a motion
+        // the refused order may have been the end of a motion
         page.end_motion("too many orders");
         return channel.send(refused("too many orders; wait a moment")).await;
     }
@@ -172,7 +172,7 @@ impl Page {
         changed
     }
 
-    /// Returns the section of the screen; `None` if there is nothing to show.
+    /// Returns the section of the screen; `None` if the screen has no content.
     fn section(&self, shown: &mut Shown) -> Option<Value> {
         let robot = self.app.robots.get(shown.robot)?;
         Some(match shown.screen {
@@ -352,13 +352,13 @@ impl Page {
         Err("this server is read-only; start it with --allow-write".into())
     }
 
-    /// Returns the name of this page's user, who has the control of a robot and may write, and the robot.
+    /// Returns the name of this page's user and the robot, if the user has the control of the robot and may write.
     pub(crate) fn writer(&self, robot: usize) -> Result<(String, Arc<Robot>), String> {
         self.writes()?;
         self.holder(robot)
     }
 
-    /// Returns the name of this page's user, who has the control of a robot and may move it, and the robot.
+    /// Returns the name of this page's user and the robot, if the user has the control of the robot and may move it.
     pub(crate) fn mover(&self, robot: usize) -> Result<(String, Arc<Robot>), String> {
         if !self.app.config.allow_motion {
             return Err("this server moves nothing; start it with --allow-motion".into());
@@ -366,7 +366,7 @@ impl Page {
         self.holder(robot)
     }
 
-    /// Returns the name of this page's user, who has the control of a robot, and the robot.
+    /// Returns the name of this page's user and the robot, if the user has the control of the robot.
     pub(crate) fn holder(&self, robot: usize) -> Result<(String, Arc<Robot>), String> {
         let robot = self.robot(robot)?;
         Ok((robot.control.user(self.client)?, robot))
@@ -384,8 +384,8 @@ impl Page {
         outcome.map(|answer| json!(answer))
     }
 
-    /// Carries out an order that changes something, for which the user has agreed when the robot had been revoked `revoked` times.
-    /// HALT, and the release of the control, revoke it until it begins.
+    /// Carries out an order that changes something and that the user confirmed at the revocation count `revoked`. HALT, and the
+    /// release of the control, revoke it until it begins.
     pub(crate) async fn change<T: Serialize + Send + 'static>(
         &self,
         who: String,
@@ -398,7 +398,7 @@ impl Page {
         self.recorded(who, robot, what, move |link| permit.check().and_then(|()| work(link))).await
     }
 
-    /// Carries out an order, and writes its line of the audit, also if the page is closed meanwhile.
+    /// Carries out an order, and writes it to the audit log, even if the page is closed in the meantime.
     pub(crate) async fn recorded<T: Serialize + Send + 'static>(
         &self,
         who: String,
@@ -428,7 +428,7 @@ impl Page {
         Ok(json!(count))
     }
 
-    /// Writes the value of a check, if the variable still has the value that the user has seen.
+    /// Writes the value of a check, if the variable still has the value that the user saw.
     async fn write(&self, number: usize, check: u64, revoked: u64) -> Answer {
         let (who, robot) = self.writer(number)?;
         let write = self

@@ -24,7 +24,7 @@ enum Change {
 }
 
 impl What {
-    /// Returns what it does, and its words for the audit.
+    /// Returns the change, and its text for the audit log.
     const fn change(self) -> (Change, &'static str) {
         match self {
             Self::Once => (Change::Start(TaskStart::OneCycle), "runs once"),

@@ -7,7 +7,7 @@ use std::time::Duration;
 use tokio::sync::{Semaphore, oneshot};
 use tokio::time::timeout;
 
-/// The longest time that an order waits for the disk.
+/// Maximum time that an order waits for the disk.
 const DISK: Duration = Duration::from_secs(5);
 
 /// Limits the threads that wait for a disk that hangs.

@@ -17,7 +17,7 @@ mod with_rustls {
     use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
     use tokio_rustls::server::TlsStream;
 
-    /// The longest time of a handshake.
+    /// Maximum time of a handshake.
     const HANDSHAKE: Duration = Duration::from_secs(10);
 
     /// Reads the certificate and its key, both in PEM.

@@ -263,8 +263,7 @@ pub(crate) fn jog(robot: &Robot) -> Value {
 const SHOWN: usize = 4096;
 const FIELDS: usize = 500;
 
-/// Returns the last call with a serial number, packet by packet; nothing for a call of an earlier session, which had the same
-/// numbers.
+/// Returns the last call with a serial number, packet by packet; empty for a call of an earlier session, whose numbers repeat.
 pub(crate) fn packet(robot: &Robot, serial: u16, at: f64) -> Value {
     let live = robot.live();
     let call = if at < live.opened.as_secs_f64() { Vec::new() } else { live.tape.call(serial) };

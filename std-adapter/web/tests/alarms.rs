@@ -48,7 +48,7 @@ fn errors_that_are_not_read_are_not_called_none() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
-/// The recovery ends while Motor is under way, whose reply is lost.
+/// The recovery ends during the command Motor, whose reply is lost.
 #[test]
 fn a_recovery_that_ends_says_what_is_not_known() {
     let config = Config { motor_on_delay: Duration::from_secs(2), ..Config::new(Profile::Rc8) };
@@ -71,7 +71,7 @@ fn a_recovery_that_ends_says_what_is_not_known() {
         page.until("alarms", next(step));
         page.order("step", json!({ "robot": 0, "step": step })).unwrap();
     }
-    // an end that comes before the call is made leaves nothing unknown
+    // if the recovery ended before the call, nothing would be unknown
     until("the motor starts", || cell.execute::<i32>("SysInfo", 14).unwrap() == 1);
     page.order("endrecovery", json!({ "robot": 0 })).unwrap();
     pace(10.0);
@@ -83,7 +83,7 @@ fn a_recovery_that_ends_says_what_is_not_known() {
     assert!(step.starts_with(why) && step.contains("Motor") && !arm.is_empty(), "{outcome}");
 }
 
-/// The recovery ends while Motor is under way. The controller refuses to switch the motor off, or only at first.
+/// The recovery ends during the command Motor. The controller refuses to switch the motor off, always or only at first.
 #[test]
 fn a_motor_that_a_stopped_recovery_leaves_on_is_not_called_off() {
     let ended = "ended: the page is closed; errors that were cleared stay cleared";
@@ -109,7 +109,7 @@ fn a_motor_that_a_stopped_recovery_leaves_on_is_not_called_off() {
     }
 }
 
-/// The jog ends while TakeArm is under way. A motor that was switched on would leave the error of the refused Motor.
+/// The jog ends during TakeArm. If it then switched the motor on, the refused Motor would leave an error.
 #[test]
 fn a_jog_that_ends_during_take_arm_leaves_the_motor_off() {
     let sim = Sim::start();

@@ -209,7 +209,7 @@ fn a_disk_that_hangs_does_not_keep_the_page_from_its_next_order() {
     let (monday, journal) = (folder.path().join("monday"), folder.path().join("monday/restore.jsonl"));
     std::fs::create_dir(&monday).unwrap();
     std::fs::write(monday.join("backup.json"), "").unwrap();
-    // nothing writes to the FIFO, so its reader waits
+    // the FIFO has no writer, so its reader waits
     assert!(std::process::Command::new("mkfifo").arg(&journal).status().unwrap().success());
     let refused = page.order("backups", json!({})).unwrap_err();
     assert_eq!(refused, "the disk has not answered for 5 s; it may still do this later");

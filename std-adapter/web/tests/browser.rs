@@ -162,12 +162,12 @@ fn a_robot_is_halted_during_a_question() {
     assert_eq!(web.lines().iter().filter(|line| line.contains("HALT")).count(), 1);
 }
 
-/// A browser opens six connections to a host. Presses for a controller that does not answer leave some for other robots. The first
-/// stays, because quick presses must not keep HALT from the server.
+/// A browser opens six connections to a host. Presses of HALT for a controller that does not answer leave connections free for
+/// other robots. The first press keeps its connection, because quick presses must not prevent HALT from reaching the server.
 #[test]
 fn presses_for_a_silent_controller_do_not_pile_up() {
     let sim = Sim::start();
-    // the system accepts connections, and nothing answers them
+    // the operating system accepts connections, but no program answers them
     let silent = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = silent.local_addr().unwrap();
     let robots = [("press", sim.address()), ("welder", address), ("gluer", address), ("packer", address)];
@@ -181,16 +181,16 @@ fn presses_for_a_silent_controller_do_not_pile_up() {
             window.told = [];
             new MutationObserver(() => told.push(notice.textContent)).observe(notice, { childList: true }); })()",
     );
-    // at once: the first halt fails after 6 s
+    // in quick succession: the first halt fails only after 6 s
     browser.eval(
         "(async () => { for (const n of [2, 2, 2, 2, 3, 3, 4, 4]) { document.querySelector(`.tile:nth-child(${n}) .halt`).click();
             await new Promise((resolve) => { setTimeout(resolve); }); } })()",
     );
-    // of four pending ones the first of each robot stays
+    // of four pending requests, the first of each robot stays
     let sent = "pending AbortError AbortError AbortError pending AbortError pending pending";
     assert_eq!(browser.eval("sent.join(' ')"), sent);
     browser.click(".tile:nth-child(1) .halt");
-    // the end of the other halts may replace this notice; their failures stay in the alerts
+    // the outcome of another halt may replace this notice; failures stay in the alerts
     browser.until("told.some((text) => text.includes('press: the robot was at rest'))");
     assert_eq!(browser.problems, [""; 0]);
     // refuses connections from here on, so that the halt ends
@@ -260,7 +260,7 @@ fn a_start_is_not_sent_over_a_connection_that_hangs() {
     let sim = Sim::start();
     let web = Web::moving(&[("press", sim.address())]);
     let Some(mut browser) = at_the_tasks(&web) else { return };
-    // the messages of the server are lost; those of the page arrive
+    // messages of the server are lost; messages of the page arrive
     browser.eval("sockets.at(-1).onmessage = null");
     browser.until_text("#stale", "bcap web does not answer");
     browser.click("[data-what=forever]");
@@ -270,7 +270,7 @@ fn a_start_is_not_sent_over_a_connection_that_hangs() {
     browser.click("#question-yes");
     until("the stop arrives", || web.lines().iter().any(|line| line.contains("Anna: stops")));
     assert!(!web.lines().iter().any(|line| line.contains("Anna: runs")), "{:?}", web.lines());
-    // the page gives the connection up, and opens another one
+    // the page abandons the connection, and opens another
     browser.until("sockets.length > 1 && document.getElementById('stale').hidden");
 }
 
@@ -326,7 +326,7 @@ fn hostile_texts_stay_text_and_lost_connections_are_shown() {
     browser.until_text("tbody .value", "<img src=x");
     let found = browser.eval("[document.querySelectorAll('img, b, main script').length, String(window.owned), document.body.scrollWidth <= innerWidth]");
     assert_eq!(found, serde_json::json!([0, "undefined", true]));
-    // an attacker who could add a script to the page could still not run it
+    // even if an attacker could add a script to the page, it would not run
     let script = "(() => { const s = document.createElement('script'); s.textContent = 'window.owned = 3'; document.body.append(s); return String(window.owned); })()";
     assert_eq!(browser.eval(script), "undefined");
     assert!(
@@ -336,7 +336,7 @@ fn hostile_texts_stay_text_and_lost_connections_are_shown() {
     );
     assert_eq!(browser.problems.len(), 1, "{:?}", browser.problems);
     browser.problems.clear();
-    // three pages at once, and a page that is loaded again in every state
+    // three pages at the same time, and a page that is loaded again in every state
     let pages = [browser.open_page(), browser.open_page()];
     for page in &pages {
         browser.turn_to(page);
@@ -411,7 +411,7 @@ fn the_arm_is_drawn_and_its_numbers_are_plotted() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
-/// The server sends variables to their screens only: on another screen none is recorded, and none of another robot.
+/// The server sends variables only to their screens: a plot does not record them on another screen, nor from another robot.
 #[test]
 fn a_plot_records_no_variable_that_is_not_read() {
     let (sim, other) = (Sim::start(), Sim::start());
@@ -491,10 +491,11 @@ fn an_answer_for_one_robot_is_not_drawn_under_another_one() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
-/// Returns whether a jog is ready, or was refused.
+/// Evaluates whether a jog is ready, or was refused.
 pub(crate) const IS_BEGUN: &str = "/ready:/.test(document.getElementById('jog-phase').textContent) || /no jog:/.test(document.getElementById('notice').textContent)";
 
-/// A button is held by the mouse and by a key; a lifted one moves nothing. A hidden tab, a lost focus and a second finger end it.
+/// A button is held by the mouse and by a key; after a lift the robot does not move. A hidden tab, a lost focus and a second
+/// finger end the jog.
 #[test]
 fn a_button_is_held_and_what_takes_the_page_away_ends_the_jog() {
     let sim = Sim::start();
@@ -523,13 +524,13 @@ fn a_button_is_held_and_what_takes_the_page_away_ends_the_jog() {
         "document.querySelector('[data-id=cell]').click(); document.querySelector('[data-id=jog]').click()",
     ];
     let mut moved = 0;
-    // each once, and again while none has moved the robot
+    // each end once, and again until an attempt has moved the robot
     for (n, end) in ends.iter().cycle().take(20).enumerate() {
         if n >= ends.len() && moved > 0 {
             break;
         }
         begin(&mut browser);
-        // a busy machine may lose the heartbeat, which is no fault of the page
+        // a busy machine may lose the heartbeat, which is not a fault of the page
         let button = ".axis:nth-child(1) button:nth-of-type(2)";
         if browser.eval(&format!("document.querySelector('{button}')?.disabled")) != false {
             continue;
@@ -571,7 +572,7 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
     {
         browser.click(&format!("[data-id={screen}]"));
         browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, #task, .choices input, .packets td, #usage:not(:empty), #backup-name, #audit li') !== null");
-        // the bytes of a packet are legible, too
+        // the bytes of a packet are legible, as well
         let opens = match screen {
             "packets" => Some(".packets .serial"),
             "raw" => Some("#call"),

@@ -177,7 +177,7 @@ impl Browser {
                 {{ capture: true, once: true }}); 0",
             json!(selector)
         );
-        // what the page draws meanwhile can move the element away from the mouse
+        // drawing during the click can move the element away from the mouse
         for _ in 0..5 {
             self.eval(&watch);
             self.hold(selector);

@@ -209,7 +209,7 @@ fn jog(sim: &Sim, web: &Web, firefox: &mut Firefox) {
         let before = sim.lock().axes();
         firefox.until("document.querySelector('.axis') !== null");
         firefox.press(".axis:nth-child(1) button:nth-of-type(2)");
-        // the page may draw the button anew during the press, which then presses nothing
+        // the page may redraw the button during the press, which then has no effect
         let end = Instant::now() + Duration::from_secs(5);
         let is_pressed = || sim.lock().axes() != before || sim.lock().arm_owner().is_none();
         while !is_pressed() && Instant::now() < end {

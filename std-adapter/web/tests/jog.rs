@@ -17,7 +17,8 @@ use crate::support::{LIMIT, Page, Relay, Sim, Web, serve_paced, until};
 /// The lost heartbeats of the test.
 const LOST: usize = 1000;
 
-/// The heartbeats stop at random moments: while the arm is taken, while the motor comes on, during a step, between two steps.
+/// The heartbeats stop at random moments: while the arm is taken, while the motor switches on, during a step, between two
+/// steps.
 #[test]
 fn a_thousand_lost_heartbeats_leave_the_robot_at_rest_and_the_arm_free() {
     // each has a page; an idle machine with few robots shows the program's times, not the machine's
@@ -95,7 +96,7 @@ fn lose(page: &mut Page, sim: &Sim, robot: usize, random: &mut fastrand::Rng) ->
                 until = Instant::now() + time;
             }
         }
-        // answers pulses, too
+        // it also answers pulses
         page.receive().unwrap();
     }
     let (last, mut time, mut moved) = (Instant::now(), Duration::ZERO, false);
@@ -146,8 +147,8 @@ impl Jogging {
         Some(())
     }
 
-    /// Waits until nothing moves for 300 ms while the page answers pulses; `None` when the page is closed. A busy machine
-    /// may begin the last step late.
+    /// Waits until the robot has been at rest for 300 ms while the page answers pulses; `None` when the page is closed. A busy
+    /// machine may begin the last step late.
     #[track_caller]
     fn rests(&mut self) -> Option<()> {
         let end = Instant::now() + LIMIT;
@@ -184,7 +185,7 @@ fn watch(page: &mut Page, time: Duration) -> Option<()> {
     Some(())
 }
 
-/// A busy machine loses heartbeats by itself: such an attempt is repeated.
+/// A busy machine can lose a heartbeat: such an attempt is repeated.
 #[track_caller]
 fn retried(attempt: impl Fn() -> Option<()>) {
     assert!((0..20).any(|_| attempt().is_some()), "each attempt has lost its heartbeat");
@@ -214,7 +215,7 @@ fn ready(web: &Web) -> Option<Page> {
 
 const DONE: &str = "the robot rests, and the arm is free: done";
 
-/// Why a jog ends on a busy machine, too.
+/// The reason with which a jog may also end on a busy machine.
 const LAPSED: &str = "the heartbeat of the page was lost";
 
 /// The reason of an end, and what ends a jog.
@@ -290,7 +291,7 @@ fn a_lifted_button_ends_its_step_and_keeps_the_arm() {
     });
 }
 
-/// The page has not noticed that the button was lifted, or its order to lift it is lost: its heartbeats go on without the press.
+/// The page missed that the button was lifted, or its lift order was lost: its heartbeats continue without the press.
 #[test]
 fn a_heartbeat_without_the_press_lifts_the_button() {
     retried(|| {
@@ -438,7 +439,7 @@ fn halt_a_jog_that_hangs(is_lifted: bool) {
         let page = ready(&web)?;
         let mut jogging = Jogging { sim, web, page };
         jogging.hold("J1", 5.0, 0.1)?;
-        // after the one that reads and the one that halts
+        // after the reading and the halting connection
         relay.freeze(2);
         let Jogging { sim, web, page } = &mut jogging;
         page.beats = is_lifted;
@@ -459,13 +460,14 @@ fn halt_a_jog_that_hangs(is_lifted: bool) {
         relay.freeze(usize::MAX);
         page.order("endjog", json!({ "robot": 0, "why": "it was seen" })).ok()?;
         until("the jog ends", || web.ended_jogs() > 0);
-        // a busy machine may lose the heartbeat, too
+        // a busy machine may also lose the heartbeat
         let is_lapsed = web.lines().iter().any(|line| line.contains(LAPSED));
         (is_lapsed != is_lifted).then_some(())
     });
 }
 
-/// The controller ends during a step: nothing is claimed that was not seen. The next jog works when it is there again.
+/// The controller ends during a step: the outcome claims only what was observed. The next jog works when the controller is
+/// back.
 #[test]
 fn a_jog_of_an_rc9_frees_the_arm_after_a_lost_connection() {
     retried(|| {
@@ -474,7 +476,7 @@ fn a_jog_of_an_rc9_frees_the_arm_after_a_lost_connection() {
         // the provider is not given: the one of an RC8 is refused
         let web = Web::moving(&[("press", relay.address)]);
         let mut page = ready(&web)?;
-        // after the one that reads and the one that halts
+        // after the reading and the halting connection
         relay.cut(2);
         page.order("endjog", json!({ "robot": 0, "why": "it was seen" })).ok()?;
         // the server connects again once, which a busy machine may delay beyond the time for that
@@ -522,7 +524,7 @@ fn a_controller_that_starts_again_during_a_jog_is_not_called_at_rest() {
     });
 }
 
-/// The controller may have carried TakeArm out: the connection is lost meanwhile, or the reply, or the controller gives it up.
+/// The controller may have carried out TakeArm: the connection or the reply is lost, or the controller abandons the call.
 #[test]
 fn an_arm_that_was_perhaps_taken_is_not_called_free() {
     for (commands, then) in [

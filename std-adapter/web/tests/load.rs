@@ -141,7 +141,7 @@ fn packets(browser: &mut Browser) -> f64 {
     2.0 * browser.eval(rate).as_f64().unwrap()
 }
 
-/// Returns what a page tells about what it does not show.
+/// Returns the page's counts of omitted items.
 fn told(browser: &mut Browser) -> Value {
     browser.eval("[...document.querySelectorAll('main p')].map((line) => line.textContent).filter((text) => /packet|call|kept|left|variables/.test(text)).slice(0, 2).join(' | ') || document.querySelectorAll('main tbody tr, main polyline').length + ' rows'")
 }

@@ -111,7 +111,7 @@ fn a_call_has_its_reply_and_its_bytes() {
         let refused = call(&mut page, function, &[argument]).unwrap_err();
         assert!(refused.contains(part), "{refused}");
     }
-    // the end of the service ends the session, and the next call opens another one
+    // the end of the service ends the session, and the next call opens another
     assert_eq!(call(&mut page, "Service_Stop", &[]).unwrap()["ok"], true);
     assert_eq!(call(&mut page, "Robot_GetName", &["robot"]).unwrap()["ok"], true);
 }
@@ -138,7 +138,7 @@ fn a_writing_call_needs_the_right_the_control_and_the_name() {
     assert!(lines.iter().any(|line| line.contains("(I1, \"five\"): 0x8")), "{lines:?}");
 }
 
-/// The controller may give the number of a released object to another one.
+/// The controller may reuse the number of a released object.
 #[test]
 fn an_object_that_a_call_released_is_opened_again() {
     let sim = Sim::start();
@@ -199,7 +199,8 @@ fn a_system_variable_needs_the_right_to_move() {
     rests(&sim);
 }
 
-/// A loop was agreed to once, for one robot on the screen of raw calls. HALT ends it, and what moves is not repeated.
+/// The user confirms a loop once, for one robot on the screen of raw calls. HALT ends it, and calls that move the robot are not
+/// repeated.
 #[test]
 fn a_loop_ends_with_halt_and_with_its_screen_and_repeats_no_motion() {
     let sim = Sim::start();
@@ -230,7 +231,8 @@ fn a_loop_ends_with_halt_and_with_its_screen_and_repeats_no_motion() {
     assert_eq!(page.order("call", read).unwrap()["value"], "5", "a loop that reads goes on");
 }
 
-/// A call that was sent before HALT may arrive after it: HALT waits for its end, and does not call the robot halted without it.
+/// A call that was sent before HALT may arrive after it: HALT waits for its end, and does not report the robot as halted
+/// before.
 #[test]
 fn a_halt_is_not_done_while_a_call_that_was_made_before_is_under_way() {
     let mut controller = Controller::new(Config::new(Profile::Rc8));
@@ -241,7 +243,7 @@ fn a_halt_is_not_done_while_a_call_that_was_made_before_is_under_way() {
     let server = serve_paced(&paced);
     let web = Web::moving(&[("press", server.value)]);
     let mut page = with_control(&web);
-    // the answer must not come before the end of HALT
+    // the answer must not arrive before the end of HALT
     pace(0.1);
     let fields = fields(&mut page, "Robot_Execute", &["robot", "8,TakeArm", "8195,0,1"]);
     page.send("call", fields);
@@ -257,7 +259,7 @@ fn a_halt_is_not_done_while_a_call_that_was_made_before_is_under_way() {
     crate::support::until("nothing is under way", || web.halt(0)["ok"] == true);
 }
 
-/// The call lasts longer than the test, and the page goes on to answer pulses.
+/// The call lasts longer than the test, and the page continues to answer pulses.
 #[test]
 fn an_order_that_leaves_the_screen_does_not_wait_for_a_call_that_moves() {
     let leaves: [(&str, Value); 2] =
@@ -276,7 +278,7 @@ fn an_order_that_leaves_the_screen_does_not_wait_for_a_call_that_moves() {
     }
 }
 
-/// A second call waits behind the first one when HALT, or another screen, ends the first.
+/// A second call waits for the first when HALT, or another screen, ends the first.
 #[test]
 fn a_call_that_waits_behind_another_one_is_not_made_after_the_end_of_that() {
     for is_halted in [true, false] {
@@ -289,7 +291,7 @@ fn a_call_that_waits_behind_another_one_is_not_made_after_the_end_of_that() {
         let waits = page.send("call", fields);
         // it is received first
         std::thread::sleep(std::time::Duration::from_millis(200));
-        // the page answers pulses meanwhile
+        // the page answers pulses during the halt
         let answer = std::thread::scope(|scope| {
             let halt = is_halted.then(|| scope.spawn(|| web.halt(0)));
             if !is_halted {
@@ -362,7 +364,7 @@ fn a_page_shows_present_values_while_its_call_moves_the_robot() {
     let web = Web::moving(&[("press", sim.address())]);
     let mut page = with_control(&web);
     start_moving(&sim, &mut page);
-    // the answer to the call comes after 90 s
+    // the call is answered after 90 s
     let at = |tiles: &Value| tiles[0]["joints"][0].as_f64();
     let begun = at(&page.until_state("moving"));
     page.until("tiles", |tiles| at(tiles) > begun);
@@ -382,7 +384,7 @@ fn the_end_of_the_screen_halts_a_call_that_moves_and_frees_the_arm() {
             line.contains("HALT, because its screen was left during a call that moves, halted, the robot rests: done")
         })
     });
-    // without a motion the arm is given back, too
+    // without a motion the arm is also given back
     sim.lock().clear_errors(bcap_std::now());
     let mut page = with_control(&web);
     let taken = call(&mut page, "Robot_Execute", &["robot", "8,TakeArm", "8195,0,1"]).unwrap();
@@ -413,7 +415,7 @@ fn an_end_that_leaves_the_motor_on_has_its_line_of_the_audit() {
     assert!(sim.lock().motor_is_on());
 }
 
-/// A computer that is lost keeps its connection open, and answers nothing.
+/// The connection of a lost computer stays open, but it does not answer.
 #[test]
 fn a_call_that_moves_ends_when_the_page_answers_no_pulse() {
     let sim = Sim::quick();

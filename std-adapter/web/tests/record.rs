@@ -80,7 +80,7 @@ fn a_session_of_more_than_4_mb_is_recorded_and_shown_again() {
     let web = serve(&sim, folder.path(), u64::MAX);
     let mut anna = page(&web);
     anna.order("select", json!({ "robot": 0, "names": ["I1", "S1"] })).unwrap();
-    // a server that only reads records, too
+    // a read-only server also records
     record(&mut anna, true).unwrap();
     assert_eq!(record(&mut anna, true), Err("a recording runs; end it first".into()));
     until_size(&mut anna, 5_000_000);
@@ -143,7 +143,7 @@ fn a_user_starts_and_ends_a_recording_and_saves_it() {
     let (found, read) = events(file.path(), Strictness::Strict);
     read.unwrap();
     assert!(found.len() > 50, "{}", found.len());
-    // without --recordings the button says why it does nothing
+    // without --recordings the button says why it is disabled
     let web = Web::start(&[("press", sim.address())], false);
     browser.open(web.url());
     // no longer the page before
@@ -192,7 +192,7 @@ fn series_with_too_many_samples_are_refused() {
     }
 }
 
-/// Only a page of this server gets a recording, and nothing else of the computer.
+/// Only a page of this server gets a recording, and no other file of the computer.
 #[test]
 fn a_name_stays_in_the_folder_and_a_file_needs_the_token() {
     let (sim, parent) = (Sim::start(), tempfile::tempdir().unwrap());

@@ -159,7 +159,7 @@ fn a_user_needs_tls_the_password_the_cookie_and_the_name() {
     let rebound = format!("evil.example:{}", cell.port());
     assert_eq!(status(&cell.request("GET /", &[("host", &rebound)], "")), "421");
     assert_eq!(status(&cell.request("GET /", &[("host", "127.0.0.1")], "")), "421");
-    // the last one is of a server at another port
+    // the last cookie belongs to a server at another port
     let other = cookie.1.replace(&name, "__Host-bcap-1=");
     for wrong in [name.clone(), format!("{name}0000"), "bcap=1".into(), other] {
         assert_eq!(status(&cell.own("GET /session", &[("cookie", &wrong)], "")), "401", "{wrong}");
@@ -168,7 +168,7 @@ fn a_user_needs_tls_the_password_the_cookie_and_the_name() {
     assert!(lines.contains(&"server: 127.0.0.1: logs in: done".to_owned()), "{lines:?}");
 }
 
-/// Jogs, logs out meanwhile, and returns why the jog has ended. The page of another user sees who has the control.
+/// Logs out during a jog, and returns why the jog has ended. The page of another user shows who has the control.
 fn jog_until_logout(cell: &Cell, cookie: &str, other: &mut Page<Tls>) -> String {
     let mut page = cell.page(cookie);
     page.until_state("ready, motor off");
@@ -207,7 +207,7 @@ fn jog_until_logout(cell: &Cell, cookie: &str, other: &mut Page<Tls>) -> String 
     jogs().next_back().unwrap()
 }
 
-/// A logout ends what the pages of the session hold, for this session only.
+/// A logout ends the motions and the control of the pages of this session only.
 #[test]
 fn a_user_who_logs_out_holds_nothing() {
     let cell = Cell::start();
@@ -236,13 +236,13 @@ fn a_user_who_logs_out_holds_nothing() {
     let lines = cell.web.lines();
     assert!(lines.contains(&"press: Anna: the page is closed, the control is free: done".to_owned()), "{lines:?}");
     assert!(!cell.sim.lock().is_moving() && !cell.sim.lock().motor_is_on());
-    // the old cookie opens nothing
+    // the old cookie gives no access
     let cookie = ("cookie", anna.as_str());
     for first in ["GET /session", "POST /halt/0", "POST /logout", "POST /packets/0"] {
         assert_eq!(status(&cell.own(first, &[cookie], "")), "401", "{first}");
     }
     assert_eq!(status(&cell.own("GET /live", &[&UPGRADE[..], &[cookie]].concat(), "")), "401");
-    // another user goes on
+    // another user is not affected
     assert_eq!(status(&cell.own("GET /session", &[("cookie", &bob)], "")), "204");
     assert_eq!(other.order("take", json!({ "robot": 0, "name": "Bob" })), Ok(json!(null)));
 }

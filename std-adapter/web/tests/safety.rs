@@ -56,7 +56,7 @@ fn requests_of_other_pages_and_hosts_are_refused() {
             ("sec-websocket-protocol", protocol),
         ];
         headers.extend(origin.map(|origin| ("origin", origin)));
-        // `connection: close` of the helper comes after this one
+        // `connection: close` of the helper follows this header
         headers.push(("connection", "upgrade"));
         web.status("GET /live", &headers)
     };
@@ -163,7 +163,7 @@ fn one_page_at_a_time_writes_what_it_has_checked() {
     assert_eq!(anna.order("write", write(0)).unwrap_err(), not_checked);
     let checked = |number: u64| json!({ "check": number, "name": "I1", "old": "0", "new": "5", "exact": true });
     assert_eq!(anna.order("check", check.clone()), Ok(checked(1)));
-    // the user agrees to the first check when another one was made, for example by two undos
+    // the user agrees to the first check after a second check was made, for example by two undos
     assert_eq!(anna.order("check", json!({ "robot": 0, "name": "I1", "text": "6" })).unwrap()["check"], 2);
     assert_eq!(anna.order("write", write(1)).unwrap_err(), not_checked);
     assert_eq!(value(&sim), 0);
@@ -196,7 +196,7 @@ fn one_page_at_a_time_writes_what_it_has_checked() {
     assert_eq!(lines, expected);
 }
 
-/// Its connection stays open, and nothing answers the pings.
+/// Its connection stays open, but the pings are not answered.
 #[test]
 fn a_page_whose_computer_is_lost_frees_the_control() {
     let sim = Sim::start();
@@ -264,13 +264,13 @@ fn sizes_rates_and_connections_are_limited() {
             }
         }
     }
-    // an order that is too large closes the page, and nothing else
+    // an order that is too large closes only the page
     let large = "x".repeat(70_000);
     let _ = page.socket.send(tokio_tungstenite::tungstenite::Message::text(large));
     until("the page is closed", || page.receive().is_none());
     let header = "x".repeat(20_000);
     let status = web.status("GET /", &[("host", web.host()), ("x", &header)]);
-    // the connection is closed, which may come before the response
+    // the connection is closed, possibly before the response arrives
     assert!([431, 0].contains(&status), "{status}");
     let mut pages = Vec::new();
     // the end of the pages above takes a moment
@@ -282,7 +282,7 @@ fn sizes_rates_and_connections_are_limited() {
     // scripts cannot read why
     let (head, body) = web.request("GET /session", &[("host", web.host()), ("x-bcap-token", web.token())]);
     assert!(head.starts_with("http/1.1 503") && body == "too many pages are open; close one", "{head} {body}");
-    // connections that send nothing lock nobody out, and end no page
+    // connections that send nothing block no client, and end no page
     let held: Vec<_> = (0..300).map(|_| idle(&web)).collect();
     assert_eq!(web.halt(0)["ok"], true);
     assert!(pages.iter_mut().all(|page| page.order("show", json!({ "robot": 0, "screen": "cell" })).is_ok()));
@@ -386,7 +386,7 @@ fn a_halt_does_not_wait_for_its_next_session() {
     let (sim, relay) = relayed();
     let web = Web::start(&[("press", relay.address)], false);
     let (_page, _cell) = watching_a_motion(&sim, &web);
-    // the second connection of HALT, which is opened after the loss of the one that reads
+    // the second connection of HALT, which is opened after the loss of the reading connection
     relay.freeze(3);
     relay.cut(0);
     until("the next session of HALT hangs", || relay.held() > 0);

@@ -31,7 +31,7 @@ pub(crate) fn bytes(hex: &str) -> Vec<u8> {
     bcap_capture::hex::parse(hex.as_bytes()).unwrap()
 }
 
-/// The serial numbers of a new session begin again: an old row has no bytes, rather than those of another call.
+/// The serial numbers of a new session begin again: an old row shows no bytes, instead of the bytes of another call.
 #[test]
 fn a_call_of_an_earlier_session_has_no_packets() {
     let sim = Sim::start();
@@ -135,7 +135,7 @@ fn a_raw_call_is_filled_in_called_repeated_and_used_again() {
     );
     browser.click(".reply .packet:nth-of-type(2) .field:nth-child(5)");
     assert_eq!(browser.eval(PRESSED), "HRESULT 0x00000000 (S_OK)");
-    // this server moves nothing, and writes with the control only
+    // this server does not allow motions, and writes only with the control
     browser.enter("#function", "72");
     browser.until_text("#usage", "72 Robot_Move(robot, interpolation, pose, option)");
     browser.until_text("#effect", "It can move the robot, or stop it. It is not sent while another client streams in Slave Mode. Start bcap web with --allow-motion.");
@@ -265,7 +265,8 @@ fn a_file_needs_the_token_and_the_origin() {
     assert_eq!(web.status("POST /mcap", &[host, token, origin, length]), 400);
 }
 
-/// Two robots: the tile of the one that is stopped says why and what to do; its alarms have the first cause first, and the log.
+/// Two robots: the tile of the stopped robot says why it is stopped and what to do; its alarms list the first cause first, and
+/// have the log.
 #[test]
 fn a_cell_of_two_says_why_one_is_not_ready() {
     let [press, welder] = [Sim::start(), Sim::start()];
@@ -291,7 +292,7 @@ fn a_cell_of_two_says_why_one_is_not_ready() {
     for part in ["Meaning: ", "Cause: ", "Remedy: "] {
         browser.until_text(".errors li", part);
     }
-    // above the button, too; known later than the errors
+    // also above the button; the plan is available later than the errors
     browser.until_text(".plan", "ClearError");
     browser.click("#log");
     browser.until_text(".log tbody", "0x83500178");
@@ -299,7 +300,7 @@ fn a_cell_of_two_says_why_one_is_not_ready() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
-/// The file gives a label and its unit, until the browser has others; a search finds them; an output has its label.
+/// The file provides a label and its unit, until the browser stores others; a search finds them; an output has its label.
 #[test]
 fn variables_have_labels_units_and_a_search() {
     let sim = Sim::start();
@@ -331,7 +332,8 @@ fn variables_have_labels_units_and_a_search() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
-/// The arm is drawn where the controller reports it, also after a turn by keys and by the pointer, and the target is drawn.
+/// The arm is drawn where the controller reports it, even after a rotation of the view by keys and by the pointer, and the
+/// target is drawn.
 #[test]
 fn the_arm_is_drawn_in_three_dimensions() {
     let sim = Sim::quick();
@@ -451,7 +453,7 @@ fn a_recovery_is_made_button_by_button() {
         if made.is_empty() {
             assert_eq!(sim.lock().errors().count(), 1, "nothing is done before the first agreement");
         }
-        // the page may draw the button anew during the press, which then presses nothing
+        // the page may redraw the button during the press, which then has no effect
         while browser.eval("document.getElementById('question').open") != true {
             browser.click(".steps button");
         }

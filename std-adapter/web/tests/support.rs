@@ -23,7 +23,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_tungstenite::tungstenite::stream::MaybeTlsStream;
 use tokio_tungstenite::tungstenite::{Message, WebSocket, client, connect};
 
-/// The time within which what a test waits for must happen, also on a busy machine.
+/// Timeout for all waits of the tests, generous enough for a busy machine.
 pub(crate) const LIMIT: Duration = Duration::from_secs(60);
 
 /// A server on a thread, which ends when this is dropped.
@@ -71,12 +71,12 @@ impl Sim {
         Self::with(address, SimConfig::new(Profile::Rc8))
     }
 
-    /// Starts one whose motor comes on at once.
+    /// Starts a virtual controller whose motor switches on immediately.
     pub(crate) fn quick() -> Self {
         Self::quick_of(Profile::Rc8)
     }
 
-    /// Starts one of another model whose motor comes on at once.
+    /// Starts a virtual controller of another model whose motor switches on immediately.
     pub(crate) fn quick_of(profile: Profile) -> Self {
         let config = SimConfig { motor_on_delay: Duration::ZERO, ..SimConfig::new(profile) };
         Self::with("127.0.0.1:0".parse().unwrap(), config)
@@ -362,7 +362,7 @@ impl<S: io::Read + io::Write> Page<S> {
                 fields["press"] = json!(self.held);
             }
             "lift" => self.held = 0,
-            // the page reads it from the tile before it asks its user
+            // the page reads the count from the tile before it asks its user
             "write" | "clear" | "grip" | "recover" | "step" | "task" | "restore" if fields["revoked"].is_null() => {
                 let tile = fields["robot"].as_u64().and_then(|robot| self.sections.get("tiles")?.get(robot as usize));
                 fields["revoked"] = tile.map_or(json!(0), |tile| tile["revoked"].clone());
@@ -445,7 +445,7 @@ impl Relay {
         self.count.load(Ordering::SeqCst)
     }
 
-    /// Returns how often bytes have arrived at a connection that was frozen.
+    /// Returns the number of times that bytes arrived at a frozen connection.
     pub(crate) fn held(&self) -> usize {
         self.held.load(Ordering::SeqCst)
     }

@@ -145,7 +145,7 @@ fn tasks_start_with_the_right_to_move_and_files_are_shown() {
     assert!(web.lines().contains(&format!("press: Anna: runs again and again {name}: done")), "{:?}", web.lines());
 }
 
-/// The connection that reads hangs, and has the order; HALT, the release or the loss of the page come before it goes on.
+/// The reading connection, which has the order, hangs; HALT, the release or the loss of the page occurs before it continues.
 #[test]
 fn an_order_that_waits_is_not_carried_out_after_a_halt_or_without_the_control() {
     for end in ["halt", "release", "loss"] {
@@ -185,7 +185,7 @@ fn an_order_that_waits_is_not_carried_out_after_a_halt_or_without_the_control() 
     }
 }
 
-/// The WebSocket of the page stalls, or its question is open, while HALT comes over another connection and reports rest.
+/// The WebSocket of the page stalls, or its question is open, while HALT arrives over another connection and reports rest.
 #[test]
 fn an_order_for_which_the_user_has_agreed_before_a_halt_is_refused() {
     let sim = Sim::start();

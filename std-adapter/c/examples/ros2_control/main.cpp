@@ -46,7 +46,7 @@ int main(int argc, char **argv) {
     check(cycles < 100000 && cycles > 1, "the emergency stop ends the stream");
     check(system.on_error(state) == CallbackReturn::SUCCESS, "on_error");
 
-    // until a person has released it, the activation fails, and moves nothing
+    // until a person has released it, the activation fails, and the robot does not move
     int attempts = 1;
     for (;; attempts++) {
         check(attempts < 200, "the recovery");

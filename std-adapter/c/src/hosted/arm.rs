@@ -20,7 +20,7 @@ use crate::status::{BCAP_E_HALTED, BCAP_E_MOTION_TIMEOUT, BCAP_E_NO_MOTION, BCAP
 pub const BCAP_PASS_EXACT: i32 = 0;
 /// The commanded position reaches the destination; the arm may lag behind it.
 pub const BCAP_PASS_COMMANDED: i32 = -1;
-/// The robot passes near the destination, as the controller decides.
+/// The robot passes near the destination, at a distance that the controller chooses.
 pub const BCAP_PASS_NEAR: i32 = -2;
 
 /// A motion. Fields that are 0 have the meaning that is stated.
@@ -92,7 +92,7 @@ pub extern "C" fn bcap_take_arm(cell: bcap_controller) -> bcap_status {
     table::on(cell.id, |cell| Ok(cell.at_rest()?.robot()?.take_arm().map(Arm::keep)?))
 }
 
-/// Halts a motion that is under way, switches the motor off if this session has switched it on, and gives the arm back.
+/// Halts a running motion, switches the motor off if this session has switched it on, and gives the arm back.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_give_arm(cell: bcap_controller) -> bcap_status {
     table::on(cell.id, |cell| {
@@ -124,8 +124,8 @@ pub unsafe extern "C" fn bcap_move(cell: bcap_controller, motion_: *const bcap_m
     })
 }
 
-/// Starts a motion, and returns when it has begun. Variables can be read and written until `bcap_wait` or `bcap_halt` ends it. If a
-/// motion is under way, this one follows it. `limit_ms` of the first one is the time limit of all.
+/// Starts a motion, and returns when it has begun. Variables can be read and written until `bcap_wait` or `bcap_halt` ends it.
+/// If a motion is running, this motion follows it. `limit_ms` of the first motion is the time limit of all.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_start(cell: bcap_controller, motion_: *const bcap_motion, limit_ms: u32) -> bcap_status {
     table::on(cell.id, |cell| {
@@ -147,8 +147,8 @@ pub extern "C" fn bcap_wait(cell: bcap_controller) -> bcap_status {
     })
 }
 
-/// Halts the robot, also without the arm, and waits until it rests. After another status than `BCAP_OK` it may still move. While
-/// another thread waits for a motion, use `bcap_stopper_halt`.
+/// Halts the robot, even without the arm, and waits until it rests. After any status other than `BCAP_OK` it may still move.
+/// While another thread waits for a motion, use `bcap_stopper_halt`.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_halt(cell: bcap_controller) -> bcap_status {
     table::on(cell.id, |cell| {

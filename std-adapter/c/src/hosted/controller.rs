@@ -12,7 +12,7 @@ use crate::memory::{TextBuffer, caller, copy, put, read_text, slice};
 use crate::status::{self, BCAP_E_PATH, BCAP_E_RANGE, Status, bcap_status};
 use crate::value::{Integer, bcap_value};
 
-/// The model of a controller, which decides its provider.
+/// The model of a controller, which determines its provider.
 pub type bcap_model = i32;
 /// RC8 and RC8A.
 pub const BCAP_RC8: bcap_model = 8;
@@ -58,7 +58,7 @@ pub unsafe extern "C" fn bcap_connect(
     })
 }
 
-/// Halts a motion, gives the arm back, releases all objects and disconnects. The handle is invalid then, also after a failure.
+/// Halts a motion, gives the arm back, releases all objects and disconnects. The handle is then invalid, even after a failure.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_close(cell: bcap_controller) -> bcap_status {
     enter(|| table::close_controller(cell.id))

@@ -100,7 +100,7 @@ fn catch(body: impl FnOnce() -> Result<(), Failure>) -> Status {
 }
 
 /// Writes the text of the last hosted function that failed on this thread: what was wrong, where, and what to do. It is shortened to
-/// `size` bytes with NUL. Returns the length of the whole text, as `snprintf` does; 0 if none failed.
+/// `size` bytes with NUL. Returns the length of the whole text, as `snprintf` does; 0 if no function has failed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_message(buffer: *mut c_char, size: usize) -> usize {
     let last = LAST.try_with(|last| last.borrow().clone()).unwrap_or(BCAP_OK.into());
@@ -112,7 +112,7 @@ pub unsafe extern "C" fn bcap_message(buffer: *mut c_char, size: usize) -> usize
     out.finish()
 }
 
-/// Stores a value in memory of the caller. Without a pointer for the value nothing is stored.
+/// Stores a value in memory of the caller. Does nothing without a pointer for the value.
 ///
 /// # Safety
 ///

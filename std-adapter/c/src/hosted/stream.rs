@@ -22,7 +22,7 @@ pub struct bcap_stream_options {
     pub speed: f64,
     /// The maximum acceleration of each joint, per second squared; 0 is 300.
     pub acceleration: f64,
-    /// How long the program may take for a pose, in ms; 0 is 100. After that the robot stops in an orderly way.
+    /// Maximum time that the program may take for a pose, in ms; 0 is 100. After that the robot stops in an orderly way.
     pub pose_timeout_ms: u32,
     /// The mode of Slave Mode: 1 paces by the clock of this computer; 0 and 2 by the buffer of the controller.
     pub mode: i32,
@@ -36,7 +36,7 @@ pub struct bcap_stream_stats {
     pub cycles: u32,
     /// Poses that were sent late.
     pub late: u32,
-    /// How often the controller's buffer was empty while the robot moved.
+    /// Number of times that the controller's buffer was empty while the robot moved.
     pub underflows: u32,
 }
 
@@ -128,7 +128,8 @@ pub unsafe extern "C" fn bcap_stream_start(
 }
 
 /// Sends the joints of the next cycle, and waits for the cycle after it, 8 ms later. `actual` gets the joints that the controller
-/// reports; it may be null. Another status than `BCAP_OK` ends the stream: the robot stops, and does not follow further poses.
+/// reports; it may be null. Any status other than `BCAP_OK` ends the stream: the robot stops, and does not follow further
+/// poses.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_stream_step(cell: bcap_controller, joints: *const f64, actual: *mut f64) -> bcap_status {
     table::on(cell.id, |cell| {

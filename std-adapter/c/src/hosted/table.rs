@@ -1,4 +1,4 @@
-//! The handles, and what is under way on their controllers.
+//! The handles, and the activities on their controllers.
 
 use std::collections::BTreeMap;
 use std::ffi::c_int;
@@ -16,12 +16,12 @@ use bcap_stream::steps::Steps;
 use super::Failure;
 use crate::status::{BCAP_E_BUSY, BCAP_E_CLOSED, BCAP_E_HANDLE, BCAP_E_PANIC, BCAP_E_STREAMING, Status};
 
-/// How long the end of the program waits for the calls of other threads, before and after it halts their robots.
+/// Maximum time that the end of the program waits for the calls of other threads, before and after it halts their robots.
 const GRACE: Duration = Duration::from_millis(100);
 const LIMIT: Duration = Duration::from_secs(5);
 const PAUSE: Duration = Duration::from_millis(2);
 
-/// A controller of a program, and what is under way on it.
+/// A controller of a program, and the activities on it.
 pub(super) struct Cell {
     /// `None` after a panic, and while a stream has it.
     pub(super) controller: Option<Controller>,
@@ -46,7 +46,7 @@ impl Cell {
         }
     }
 
-    /// Returns the controller if no motion is under way.
+    /// Returns the controller if no motion is running.
     pub(super) fn at_rest(&mut self) -> Result<&mut Controller, Failure> {
         if self.motion.is_some() {
             return Err(Failure::new(BCAP_E_BUSY, "a motion is under way; call bcap_wait or bcap_halt first"));
@@ -131,12 +131,12 @@ pub(super) fn add_stopper(stopper: Stopper) -> u64 {
     insert(Object::Stopper(stopper))
 }
 
-/// Runs the body of a function on a controller, after those of other threads, and returns its status.
+/// Runs the body of a function on a controller, after calls of other threads, and returns its status.
 pub(super) fn on(id: u64, body: impl FnOnce(&mut Cell) -> Result<(), Failure>) -> Status {
     super::enter(|| with(id, body))
 }
 
-/// Runs calls on a controller, after those of other threads.
+/// Runs calls on a controller, after calls of other threads.
 pub(super) fn with<T>(id: u64, calls: impl FnOnce(&mut Cell) -> Result<T, Failure>) -> Result<T, Failure> {
     let shared = controller(id)?;
     // poisoned by a panic
@@ -161,7 +161,8 @@ pub(super) fn close_stopper(id: u64) -> Result<(), Failure> {
     find(id, true).map(drop)
 }
 
-/// Ends a stream and a motion, gives the arm back, and closes a controller. The handle is invalid at once, also if that fails.
+/// Ends a stream and a motion, gives the arm back, and closes a controller. The handle is immediately invalid, even if that
+/// fails.
 pub(super) fn close_controller(id: u64) -> Result<(), Failure> {
     let shared = controller(id)?;
     // only one of several threads closes it
@@ -186,7 +187,7 @@ fn take_own() -> Entries {
     own
 }
 
-/// Closes all controllers of this process when it ends, also by `exit`, so that no robot moves on.
+/// Closes all controllers of this process when it ends, even by `exit`, so that no robot continues to move.
 fn end_at_exit() {
     static ONCE: Once = Once::new();
 

@@ -256,7 +256,7 @@ impl Copying<'_> {
     fn upload(&mut self, files: &[PathBuf], to: &str, into: bool) -> Result<(), Failure> {
         self.session.begin()?;
         spare(self.session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
-        // only a listing tells a folder from a file
+        // only a listing distinguishes a folder from a file
         let into = into || remote_files::find(self.session, to)?.iter().any(|item| item.is_folder);
         let mut copies: Vec<(PathBuf, String)> = Vec::new();
         for file in files {

@@ -124,10 +124,10 @@ const CLIENTS: usize = 64;
 /// Memory for the clients, and for the handles of 256 variables.
 type Places = Memory<CLIENTS, 256>;
 
-/// The longest time for a call that the robot keeps alive.
+/// Maximum time for a call that the robot keeps alive.
 const CALL: Duration = Duration::from_secs(8);
 
-/// How often to check for suppressed lines of the log, and for a failed recording.
+/// Interval of the checks for suppressed log lines, and for a failed recording.
 const REPORT: Duration = Duration::from_secs(1);
 
 /// Runs `bcap gateway` until a signal ends it.
@@ -156,7 +156,7 @@ pub(crate) fn gateway(args: &Gateway, link: &LinkArgs) -> Result<(), Failure> {
     let recording = link.write.as_deref().map(|file| Recording::start(Some(file), |_| {})).transpose()?;
     let recorder = recording.as_ref().map(|recording| recording.recorder().clone());
     let counters = runtime()?.block_on(async {
-        // the signals first: a reader of the line may send one at once
+        // install the signal handlers first: a reader of the `ready` line may send a signal immediately
         let ended = signal::wait()?;
         let listener = tcp("--rac", args.rac).await?;
         let modbus = tcp_if("--modbus", args.modbus).await?;

@@ -65,7 +65,7 @@ fn show(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
     }
     print_line(&format!("[profile.{name}]"))?;
     for key in ["address", "provider", "machine", "option", "rac_port"] {
-        // text and numbers of JSON are also those of TOML
+        // text and numbers have the same form in JSON and TOML
         if let Some(value) = object.get(key).filter(|value| !value.is_null()) {
             print_line(&format!("{key} = {value}"))?;
         }

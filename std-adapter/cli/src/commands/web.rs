@@ -158,7 +158,8 @@ pub(crate) async fn bind(config: Config, option: &str, printer: &Printer) -> Res
     })
 }
 
-/// Opens the page in the browser. The address is in a file that only this user can read: others see the arguments of a program.
+/// Opens the page in the browser. The address is in a file that only this user can read, because other users can see the
+/// arguments of a program.
 fn open(url: &str) -> Option<NamedTempFile> {
     let write = || {
         let mut file = tempfile::Builder::new().prefix("bcap-").suffix(".html").tempfile()?;

@@ -228,7 +228,7 @@ impl LinkArgs {
         all.or(self.timeout).unwrap_or(DEFAULT_TIMEOUT)
     }
 
-    /// Returns the time limit of the whole command; `None` if the user gave none.
+    /// Returns the time limit of the whole command; `None` if the user set no limit.
     pub(crate) const fn limit(&self) -> Option<Duration> {
         if self.attempt_timeout.is_some() { None } else { self.timeout }
     }
@@ -273,8 +273,8 @@ impl LinkArgs {
         matches!(self.target(), Ok(Address::Serial(_)))
     }
 
-    /// Returns the option of Service_Start: a third of an attempt as keep-alive interval, from 80 ms to 400 ms. A keep-alive
-    /// that came after the attempt would make a long call fail or be repeated.
+    /// Returns the option of Service_Start: a third of an attempt as keep-alive interval, from 80 ms to 400 ms. If the first
+    /// keep-alive arrived after the attempt, a long call would fail or be repeated.
     pub(crate) fn start_option(&self) -> String {
         let is_udp = matches!(self.network_target(), Ok(NetworkAddress { protocol: Protocol::Udp, .. }));
         let attempt = self.timeout().as_millis() / if is_udp { u128::from(self.attempts()) } else { 1 };
@@ -296,5 +296,5 @@ fn level() -> impl TypedValueParser<Value = Level> {
     .try_map(|level| level.parse::<Level>())
 }
 
-/// The shortest attempt of a call over UDP: longer than the shortest interval of keep-alives.
+/// Minimum time of an attempt of a call over UDP: longer than the minimum keep-alive interval.
 const SHORTEST_ATTEMPT: Duration = Duration::from_millis(100);

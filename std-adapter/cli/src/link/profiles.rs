@@ -117,7 +117,7 @@ impl Profiles {
     }
 }
 
-/// Adds the provider of the controller to a profile without one, so that the next command asks for it at once.
+/// Adds the provider of the controller to a profile without one, so that the next command connects with it right away.
 pub(crate) fn remember(name: &str, provider: &str) -> Result<(), Failure> {
     let path = Profiles::read()?.path;
     let text = fs::read_to_string(&path).map_err(of_file(&path))?;

@@ -41,12 +41,12 @@ impl Question<'_> {
         answered
     }
 
-    /// Returns if the user has given `--yes`, or agrees. Also a virtual controller is asked about: the user vouches for what the
-    /// controller does not say.
+    /// Returns if the user has given `--yes`, or agrees. This includes virtual controllers: the user confirms facts that the
+    /// controller does not report.
     ///
     /// # Errors
     ///
-    /// As [`confirm`](Self::confirm).
+    /// Same as [`confirm`](Self::confirm).
     pub(crate) fn confirm_by_person(&self, session: &mut Session, yes: bool) -> Result<(), Failure> {
         let answered = if yes { Ok(()) } else { self.ask() };
         session.restart_budget();
@@ -94,7 +94,7 @@ fn wait_for_line(refused: &str) -> Result<(), Failure> {
 #[cfg(unix)]
 fn has_line() -> io::Result<bool> {
     use rustix::event::{PollFd, PollFlags, Timespec, poll};
-    /// How often a question looks for a signal: every 50 ms.
+    /// Interval at which a question checks for a signal: 50 ms.
     const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 50_000_000 };
     let stdin = io::stdin();
     let mut input = [PollFd::new(&stdin, PollFlags::IN)];

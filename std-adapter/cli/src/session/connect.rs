@@ -15,7 +15,7 @@ use crate::failure::Failure;
 use crate::session::budget::Budget;
 use crate::session::traffic::{recorder, taped};
 
-/// Connects within the time limits, without starting the service. Over UDP nothing is sent. `packets` sees all bytes.
+/// Connects within the time limits, without starting the service. Over UDP this sends nothing. `packets` receives all bytes.
 pub(crate) fn open(target: &Address, budget: &Budget, packets: &Packets) -> Result<Controller, Failure> {
     match target {
         Address::Network(server) => connect(server, budget, |peer, options| match server.protocol {
@@ -46,7 +46,7 @@ pub(crate) fn unrecorded(target: &Address) -> Result<(), Failure> {
     }
 }
 
-/// Wraps a connection, so that `packets` sees its bytes.
+/// Wraps a connection, so that `packets` receives its bytes.
 fn tapped<X>(connection: blocking::Connection<X, Vec<u8>>, packets: &Packets, wire: Wire) -> Controller
 where
     X: Transport<Error = io::Error> + Send + 'static,

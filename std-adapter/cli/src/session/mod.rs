@@ -1,7 +1,7 @@
 //! A session with a controller within the time limits of the command line.
 //!
 //! Controller_Connect is called when a command first needs the controller. At the end of the session, even after a
-//! refusal, all objects are released in reverse order. After a call without a reply nothing is sent.
+//! refusal, all objects are released in reverse order. After a call without a reply, nothing more is sent.
 
 pub(crate) mod budget;
 pub(crate) mod confirm;
@@ -43,9 +43,9 @@ pub(crate) struct Session {
     objects: HashMap<String, i32>,
     /// The handling of signals while this session may move the robot.
     pub(crate) interrupt: Option<Interrupt>,
-    /// Whether this session halts the robot for another one; then no signal interrupts its calls.
+    /// Whether this session halts the robot for another session; then no signal interrupts its calls.
     is_stopper: bool,
-    /// Whether an earlier session has opened the one that halts, and closes it.
+    /// Whether an earlier session has opened the halting session, and closes it.
     shares_stopper: bool,
     /// The bytes of the last packets.
     pub(crate) packets: Packets,
@@ -63,7 +63,8 @@ struct Open {
 }
 
 impl Drop for Session {
-    /// Ends this session, and then the one that halts the robot. The end has time, however long the session was idle.
+    /// Ends this session, and then the session that halts the robot. The end has its full time limit, however long the session
+    /// was idle.
     fn drop(&mut self) {
         self.close();
     }
@@ -139,7 +140,7 @@ impl Session {
     /// Ends the session after a command. A failure of the end is the command's, unless the command has failed itself.
     pub(crate) fn end_after(&mut self, done: Result<(), Failure>) -> Result<(), Failure> {
         match done {
-            // a closed output says nothing about the robot
+            // a closed output does not affect the robot
             Err(failure) if !failure.is_closed_output() => {
                 self.close();
                 Err(failure)
@@ -173,8 +174,8 @@ impl Session {
         }))
     }
 
-    /// Runs `body` before a question to the user, who may think for hours: only a session that was open before stays open, and a
-    /// lost one stays lost.
+    /// Runs `body` before a question to the user, who may take hours to answer: only a session that was open before stays open,
+    /// and a lost session stays lost.
     pub(crate) fn before_question<T>(
         &mut self,
         body: impl FnOnce(&mut Self) -> Result<T, Failure>,
@@ -216,7 +217,7 @@ impl Session {
         self.open.as_mut().is_some_and(|open| open.controller.leave_motor())
     }
 
-    /// Opens the connection, over which nothing is started yet. From then on a signal ends the command after the running call.
+    /// Opens the connection without starting the service. From then on a signal ends the command after the running call.
     pub(crate) fn open_connection(&mut self) -> Result<(), Failure> {
         self.check_signal()?;
         let (target, budget) = (self.link.target()?, Budget::start(&self.link));
@@ -287,7 +288,8 @@ impl Session {
         }
     }
 
-    /// Removes the time limit of the command, for a motion, which has its own: without a connection nothing could halt it.
+    /// Removes the time limit of the command for a motion, which has a separate limit: after the end of the connection the
+    /// motion could not be halted.
     pub(crate) fn suspend_budget(&mut self) {
         if let Some(Open { controller, .. }) = &mut self.open {
             controller.set_deadline(None);
@@ -409,7 +411,7 @@ impl Session {
         Ok(session.link.clone())
     }
 
-    /// Connects with other arguments from now on, also after a lost connection.
+    /// Connects with other arguments from now on, even after a lost connection.
     fn use_link(&mut self, link: LinkArgs) {
         link.provider().clone_into(&mut self.provider);
         self.open = self.open.take().map(|Open { controller, target, budget }| {
@@ -419,7 +421,7 @@ impl Session {
         self.link = link;
     }
 
-    /// Opens all objects of a path, and returns the handle of the last one. Each path is opened once.
+    /// Opens all objects of a path, and returns the handle of the last object. Each path is opened once.
     pub(crate) fn object(&mut self, path: &ObjectPath) -> Result<i32, Failure> {
         let name = path.to_string();
         if let Some(handle) = self.objects.get(&name) {
@@ -548,8 +550,8 @@ impl Session {
         self.give_arm().map(|()| moved)
     }
 
-    /// Closes a lost connection, so that the controller releases its resources, such as the arm. If this session had
-    /// the arm, the robot is halted over another connection first: a motion may be under way.
+    /// Closes a lost connection, so that the controller releases its resources, such as the arm. If this session owned the arm,
+    /// the robot is first halted over another connection, because it may be moving.
     pub(crate) fn abandon(&mut self) {
         if !self.lost {
             return;

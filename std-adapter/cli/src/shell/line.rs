@@ -144,7 +144,7 @@ pub(crate) enum Checked {
     Exit,
 }
 
-/// Checks lines, one after the other, without a call.
+/// Checks lines in sequence, without a call.
 pub(crate) struct Checker {
     variables: HashMap<String, String>,
     check: Check,
@@ -168,7 +168,7 @@ impl Checker {
         }
     }
 
-    /// Checks words that may not run: the lines after an `exit` are checked, too.
+    /// Checks words that possibly do not run: the lines after an `exit` are also checked.
     fn perhaps(&mut self, words: &[String]) -> Result<Checked, Failure> {
         Ok(match self.words(words)? {
             Checked::Exit => Checked::Continue,
@@ -203,7 +203,7 @@ impl Checker {
     }
 }
 
-/// Runs lines, one after the other, over one session.
+/// Runs lines in sequence over one session.
 pub(crate) struct Runner {
     pub(crate) interrupt: Interrupt,
     verb: Verb,
@@ -351,7 +351,7 @@ fn set(variables: &mut HashMap<String, String>, name: &str, value: &[String]) ->
     Ok(())
 }
 
-/// Refuses a command that runs a command that runs another one: its depth has no limit.
+/// Refuses nested `repeat`, `while` and `if`, whose depth would have no limit.
 fn repeated(words: &[String]) -> Result<(), Failure> {
     match words.first() {
         Some(word) if ["repeat", "while", "if"].contains(&word.as_str()) => {
@@ -426,12 +426,12 @@ fn may_take_arm(command: &Command) -> bool {
     }
 }
 
-/// Prints help that was asked for, or converts the error of an invalid command.
+/// Prints requested help, or converts the error of an invalid command.
 fn explained(error: &clap::Error) -> Result<(), Failure> {
     if is_help(error) { Ok(print_raw(error.render().to_string().trim_end())?) } else { Err(invalid(error)) }
 }
 
-/// Returns whether the user asked for help.
+/// Returns whether the user requested help.
 fn is_help(error: &clap::Error) -> bool {
     matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion)
 }

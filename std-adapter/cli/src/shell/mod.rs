@@ -68,7 +68,7 @@ pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(),
     let mut editor = editor(&shared)?;
     let history = history_file();
     if let Some(file) = &history {
-        // a shell without a place for its history works as well, and the first one has none yet
+        // a failure is ignored: the shell works without its history, and the first shell has no history yet
         let _ = file.parent().map(std::fs::create_dir_all);
         let _ = editor.load_history(file);
     }
@@ -174,7 +174,7 @@ fn prompt(session: &mut Session, inbox: &mut Option<StreamCheck>) -> String {
         match next_message(session, check) {
             Ok(Some(message)) => note(&message.to_string()),
             Err(Failure::Refused { .. }) => *inbox = None,
-            // also while a stream runs
+            // no messages, or a stream runs
             Ok(None) | Err(_) => break,
         }
     }

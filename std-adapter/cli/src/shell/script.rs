@@ -11,7 +11,7 @@ use crate::output::print_result;
 use crate::session::Session;
 use crate::shell::line::{Check, Checked, Checker, Flow, Runner, Verb};
 
-/// How deep scripts that run scripts may be nested.
+/// Maximum nesting depth of scripts that run scripts.
 const DEPTH: u8 = 16;
 
 /// Runs `bcap run`.
@@ -29,7 +29,7 @@ fn too_deep(args: &Run) -> Failure {
     Failure::Input(format!("{}: more than {DEPTH} scripts run each other", args.file.display()))
 }
 
-/// Checks all lines of a file before the first one runs. The lines of the standard input run as they arrive.
+/// Checks all lines of a file before the first line runs. The lines of the standard input run as they arrive.
 fn run_lines(args: &Run, session: &mut Session, verb: Verb, check: Check, json: bool) -> Result<(), Failure> {
     let interrupt = session.handle_signals()?;
     let (name, lines) = open(args)?;
@@ -92,7 +92,7 @@ fn checked(name: &str, lines: usize, json: bool) -> Result<(), Failure> {
     Ok(print_result(json, &serde_json::json!({ "lines": lines }), &format!("{name}: {lines} lines are valid"))?)
 }
 
-/// Runs lines until the last one, `exit`, an error or a signal.
+/// Runs lines until the last line, `exit`, an error or a signal.
 fn run_each(name: &str, lines: &Lines, session: &mut Session, runner: &Runner) -> Result<(), Failure> {
     for number in 1_u32.. {
         let place = format!("{name}:{number}");

@@ -22,7 +22,7 @@ use crate::book::pattern::{matches, replace};
 /// The address of the virtual controller in the pages.
 const ROBOT: &str = "192.168.0.1";
 
-/// Runs a command; one that waits for ever must not hang the test.
+/// Runs a command; a command that waits forever must not hang the test.
 const LIMITED: &str = "exec timeout 60 sh -c \"$COMMAND\" 2>&1";
 
 /// An option of a server that names where it listens.
@@ -72,7 +72,7 @@ impl World {
         fs::write(self.folder.path().join(name), content).unwrap();
     }
 
-    /// Starts a virtual controller, which the pages know under the address [`ROBOT`].
+    /// Starts a virtual controller, whose address on the pages is [`ROBOT`].
     pub(crate) fn start_sim(&mut self, options: &str) {
         if let Some(options) = options.strip_prefix("stepped") {
             let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };

@@ -15,7 +15,7 @@ const SEGMENT: usize = 1400;
 /// The link type of packets that begin with an IP header.
 const RAW_IP: u32 = 101;
 
-/// Who sends a packet.
+/// The sender of a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum From {
     Client,
@@ -138,7 +138,7 @@ fn datagram(flow: &Flow, from: From, payload: &[u8]) -> Vec<u8> {
     packet
 }
 
-/// The IPv4 packets of a datagram in fragments of so many bytes, a multiple of 8.
+/// Returns the IPv4 packets of a datagram in fragments of `size` bytes, a multiple of 8.
 pub(crate) fn fragments(flow: &Flow, from: From, payload: &[u8], size: usize) -> Vec<Vec<u8>> {
     let packet = datagram(flow, from, payload);
     let (header, rest) = Ipv4Header::from_slice(&packet).unwrap();

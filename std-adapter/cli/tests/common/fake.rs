@@ -38,7 +38,7 @@ pub(crate) fn usual(request: &Frame<'_>) -> Answer {
     }
 }
 
-/// Returns whether a client asks whether a stream of Slave Mode runs.
+/// Returns whether a request queries if a stream of Slave Mode runs.
 fn asks_for_stream(request: &Frame<'_>) -> bool {
     request.args.get(1).and_then(|command| command.as_bstr()).is_some_and(|command| command == "slvGetMode")
 }

@@ -76,7 +76,7 @@ impl Bug {
     }
 }
 
-/// How long a crashed device takes to restart.
+/// The time that a crashed device takes to restart.
 const RESTART: Duration = Duration::from_millis(30);
 /// The objects of all clients that a device with a leak has room for.
 const ROOM: usize = 50;
@@ -100,7 +100,7 @@ struct Device {
     starts_by: Option<PathBuf>,
     streams: Mutex<Vec<TcpStream>>,
     calls: Mutex<Vec<FunctionId>>,
-    /// The functions of frames that begin in one datagram and end in the next one.
+    /// The functions of frames that begin in one datagram and end in the next.
     joined: Mutex<Vec<FunctionId>>,
     /// Datagrams that were lost, and retransmissions of them that arrived.
     lost: AtomicUsize,
@@ -229,7 +229,7 @@ impl Device {
         self.ports.iter().for_each(|port| drop(TcpStream::connect(port)));
     }
 
-    /// Does what happens to a connection; returns whether it goes on.
+    /// Applies an outcome to a connection; returns whether the connection continues.
     fn goes_on(&self, stream: &mut TcpStream, outcome: Outcome) -> bool {
         match outcome {
             Outcome::Reply(bytes) => stream.write_all(&bytes).is_ok(),
@@ -342,7 +342,7 @@ impl Device {
                 && FunctionId(frame.code).name().is_some_and(|name| name.contains("Get"))
                 && let Some((_, Some((_, _, reply)))) = peers.get(&from)
             {
-                // until another client comes
+                // until a datagram of another client arrives
                 socket.set_read_timeout(Some(Duration::from_millis(5))).unwrap();
                 while !socket.recv_from(&mut buffer).is_ok_and(|(_, other)| other != from)
                     && !self.is_over.load(Ordering::SeqCst)

@@ -149,7 +149,7 @@ fn encoded(values: &[String]) -> Vec<String> {
     run.out.lines().map(str::to_owned).collect()
 }
 
-/// Asserts that `bcap decode` finds the calls that the server saw, and nothing else.
+/// Asserts that `bcap decode` finds exactly the calls that the server received.
 pub(crate) fn assert_as_seen(recorded: &Recorded) {
     let run = bcap(&["decode", recorded.file.to_str().unwrap(), "--json"]);
     assert_eq!(run.code, 0, "{run:?}");

@@ -45,7 +45,7 @@ impl Running {
         Self::start(&[&["sim"], &FREE[..], more].concat())
     }
 
-    /// Starts a virtual controller on free ports, whose notes are those of the test.
+    /// Starts a virtual controller on free ports, which writes its notes to the standard error of the test.
     pub(crate) fn quiet_sim(more: &[&str]) -> Self {
         Self::of(&mut command(&[&["sim"], &FREE[..], more].concat()))
     }

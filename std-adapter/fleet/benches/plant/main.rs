@@ -28,10 +28,10 @@ use subscriber::{Seen, Subscriber};
 
 pub(crate) type Failure = Box<dyn std::error::Error + Send + Sync>;
 
-/// How long all processes run before the measurement.
+/// The time that all processes run before the measurement.
 const WARM_UP: Duration = Duration::from_secs(5);
 
-/// How long the broker alone is measured.
+/// The time that the broker alone is measured.
 const ALONE: Duration = Duration::from_secs(5);
 
 /// The size of the plant.

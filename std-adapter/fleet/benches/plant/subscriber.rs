@@ -142,7 +142,7 @@ impl Subscriber {
     }
 }
 
-/// The messages that a plain client sends at once, before it waits for the acknowledgements of those before.
+/// Number of messages that a plain client sends together, before it waits for the acknowledgements of the previous batch.
 const BATCH: usize = 500;
 
 /// Publishes messages again and again with QoS 1, as fast as the broker acknowledges them.
@@ -161,7 +161,7 @@ pub(crate) fn flood(port: u16, sample: &[Message], time: Duration) -> Result<(),
     let (began, mut waiting) = (Instant::now(), 0);
     for (bytes, count) in batches.iter().cycle() {
         stream.write_all(bytes)?;
-        // one batch is under way while the next one is written
+        // one batch is in flight while the next is written
         for _ in 0..std::mem::replace(&mut waiting, *count) {
             while packets.next()?.0 != 0x40 {}
         }

@@ -2,7 +2,7 @@
 //!
 //! Without a buffer on disk, the newest [`MEMORY`] readings are kept. With one, new readings of the backlog are appended to it,
 //! and one file after another is loaded to be sent. The file is deleted when all of its readings have arrived. While the disk
-//! takes nothing, the newest [`MEMORY`] readings wait for it, and each new one is another attempt.
+//! fails, the newest [`MEMORY`] readings wait in memory, and each new reading triggers another attempt.
 
 use std::collections::VecDeque;
 use std::io;
@@ -86,7 +86,7 @@ impl Backlog {
         self.loaded += self.next.len() - before;
     }
 
-    /// Takes the next reading to send, and tells whether another one of the same controller follows.
+    /// Takes the next reading to send, and returns whether another reading of the same controller follows.
     pub(super) fn pop(&mut self) -> Option<(Reading, bool)> {
         let reading = self.next.pop_front()?;
         let has_more = self.next.front().is_some_and(|next| next.cell == reading.cell);

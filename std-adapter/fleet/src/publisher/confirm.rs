@@ -15,7 +15,7 @@ use crate::reading::Reading;
 /// up to 100 readings. So at most about 20,000 readings are unconfirmed.
 const LIMIT: usize = 10_000;
 
-/// The message that confirms the messages before it. Nothing subscribes to its topic.
+/// The message that confirms the messages before it. Its topic has no subscribers.
 pub(super) fn message(config: &Config) -> Message {
     let topic = crate::json::topic(config, &config.node, "confirm");
     let (payload, readings) = Default::default();
@@ -28,7 +28,7 @@ pub(super) struct Unconfirmed {
     readings: VecDeque<Reading>,
     /// Whether a message to confirm was passed to the link, and its acknowledgement has not arrived.
     is_asking: bool,
-    /// How many readings the acknowledgement confirms.
+    /// The number of readings that the acknowledgement confirms.
     asked: usize,
 }
 

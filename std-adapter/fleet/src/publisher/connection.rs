@@ -23,7 +23,7 @@ struct Sent {
 /// The progress of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
-    /// Nothing is published: the broker has not accepted it, or the primary host is offline.
+    /// No messages are published: the broker has not accepted the connection, or the primary host is offline.
     Waiting,
     /// The node is born when the broker has answered all subscriptions, so that no command to it is lost.
     Subscribing,
@@ -35,7 +35,7 @@ pub(super) enum Phase {
 pub(super) struct Connection {
     pub(super) link: Link,
     pub(super) phase: Phase,
-    /// When it came up.
+    /// When the connection was accepted.
     pub(super) began: Instant,
     /// The number of subscriptions that the broker has not answered.
     pub(super) subscribing: usize,

@@ -40,7 +40,7 @@ impl Publisher {
             return false;
         }
         let Ok(HostState { online, timestamp }) = serde_json::from_slice(&publish.payload) else { return true };
-        // a state of an earlier connection of the host may come late
+        // a state of an earlier connection of the host may arrive late
         let is_late = timestamp < self.host_since;
         self.host_since = self.host_since.max(timestamp);
         let is_begun = self.link.as_ref().map(|connection| connection.phase != Phase::Waiting);
@@ -62,7 +62,7 @@ impl Publisher {
         if let (Some(connection), Some(death)) = (&mut self.link, death) {
             // the channel of the link has room for more than the window; the event of the disconnection follows
             connection.send(death);
-            // a broker that acknowledges nothing must not delay it: after this time there is an error instead of that event
+            // a broker that does not acknowledge must not delay it: after this time an error replaces that event
             let _ = connection.link.client.try_disconnect_with_timeout(CLOSE);
             connection.phase = Phase::Waiting;
         }

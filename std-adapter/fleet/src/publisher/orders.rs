@@ -16,7 +16,8 @@ use crate::reading::now_ms;
 /// The maximum number of answers that wait for the window before further ones are left out: commands must not fill the memory.
 const WAITING: usize = 1000;
 
-/// The maximum number of commands that run at the same time, and those of one controller: a slow one must not occupy all.
+/// The maximum number of commands that run at the same time, in total and for one controller: a slow controller must not occupy
+/// all slots.
 const RUNNING: (usize, usize) = (64, 16);
 
 /// The maximum size of a text of a command in an answer or event in bytes.
@@ -31,7 +32,7 @@ impl Publisher {
         let longest = self.commands.longest();
         match self.encoder.decode(&self.shared.config, &topic(publish), &publish.payload, longest) {
             Decoded::Nothing => {}
-            // not at once: a host that asks again and again must not fill the memory
+            // not immediately: a host that repeats the request must not fill the memory
             Decoded::Repeat => self.stale = true,
             Decoded::Commands(cell, commands) => {
                 commands.into_iter().for_each(|command| self.order(cell, publish, command));

@@ -56,8 +56,8 @@ impl Publisher {
         }
     }
 
-    /// Handles the broker's answer to a subscription. Without it a watcher would receive nothing and take over, and a node
-    /// would wait for its primary host forever; only commands can be missed.
+    /// Handles the broker's answer to a subscription. After a refusal a watcher would receive nothing and take over, and a node
+    /// would wait for its primary host forever; only the subscription of commands may fail.
     pub(super) async fn subscribed(&mut self, codes: &[SubscribeReasonCode]) {
         let Some(connection) = &mut self.link else { return };
         connection.subscribing = connection.subscribing.saturating_sub(1);
@@ -113,7 +113,7 @@ impl Publisher {
         let is_death = publish.topic != self.state_topic();
         let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) else { return };
         if is_death {
-            // the death of an earlier birth may come late
+            // the death of an earlier birth may arrive late
             if self.encoder.is_death(&publish.payload) {
                 standby.saw_death(Instant::now());
             }

@@ -16,7 +16,7 @@ pub(super) enum DataType {
     String = 12,
 }
 
-/// Returns the type of a point that its kind of variable decides.
+/// Returns the type of a point, if its kind of variable determines the type.
 pub(super) fn typed(point: &Point) -> Option<DataType> {
     use bcap_core::rac::VariableKind as Kind;
     Some(match point.kind? {

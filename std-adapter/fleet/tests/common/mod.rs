@@ -48,7 +48,7 @@ impl Robot {
         let server = loop {
             match Server::with_shared(Arc::clone(&self.controller)).bcap_tcp(self.address).await {
                 Ok(server) => break server,
-                // the port of the life before may not be free yet
+                // the port of the previous server may still be in use
                 Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
             }
         };
@@ -210,7 +210,7 @@ impl Subscriber {
 
     /// Waits for a message that a function accepts, and returns its result.
     pub(crate) async fn find<T>(&mut self, mut accept: impl FnMut(&Publish) -> Option<T>) -> T {
-        // other messages may go on for ever
+        // other messages may arrive endlessly
         let found = async {
             loop {
                 if let Some(found) = accept(&self.next().await) {

@@ -41,8 +41,8 @@ pub(super) fn servo_data(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'
 }
 
 /// Executes GetAllSrvData: eight arrays, of which a public program names \[2\], the joints, \[4\], speeds in revolutions per
-/// minute, and \[7\], the load in 0.1 percent. The speeds are those of the joints; the other arrays are 0. The type R4 is a
-/// decision; such an answer fits a datagram.
+/// minute, and \[7\], the load in 0.1 percent. The speeds are joint speeds; the other arrays are 0. The type R4 is a decision;
+/// such an answer fits a datagram.
 pub(super) fn all_servo_data(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'_>) -> Answered {
     let speeds = axes_data(arm, ctx, 1)?.map(|speed| speed / 6.0);
     let mut arrays = [[0.0_f32; 8]; 8];
@@ -51,7 +51,8 @@ pub(super) fn all_servo_data(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'
     Answer::of(arrays.each_ref().map(|array| array as &dyn Encode))
 }
 
-/// The deviation of a joint while the motor is on, in GetSrvData 2: a public program takes 0 for a motor that is off.
+/// The deviation of a joint while the motor is on, in GetSrvData 2. Not 0, because a public program treats 0 as a motor that is
+/// off.
 const DEVIATION: f64 = 0.001;
 
 /// Executes GetSrvJntData: `[number, axis]`.

@@ -38,7 +38,7 @@ impl Speed {
 /// The options of a motion.
 struct MoveOptions {
     internal: Percent,
-    /// Answer at once.
+    /// Answer immediately.
     next: bool,
 }
 
@@ -72,7 +72,7 @@ pub(super) fn move_to(
     }
 }
 
-/// Executes Approach: `[interpolation, pose, length]`, perhaps with a motion option after them.
+/// Executes Approach: `[interpolation, pose, length]`, optionally with a motion option after them.
 pub(super) fn approach(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let (line, [pose, length, option]) = straight_or_not(param)?;
     let (distance, pass) = length_and_pass(&length)?;
@@ -86,7 +86,7 @@ pub(super) fn approach(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant
     start(robot, ctx, (route, pass), Speed::of(line), &text_or_nothing(&option)?)
 }
 
-/// Executes Depart: `[interpolation, length]`, perhaps with a motion option after them.
+/// Executes Depart: `[interpolation, length]`, optionally with a motion option after them.
 pub(super) fn depart(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let (line, [length, option]) = straight_or_not(param)?;
     let (distance, pass) = length_and_pass(&length)?;
@@ -110,7 +110,7 @@ pub(super) fn follow(
     start(robot, ctx, (Route::Through(points), pass), Speed::Line, option)
 }
 
-/// Executes Draw: `[interpolation, vector]`, perhaps with a motion option after them.
+/// Executes Draw: `[interpolation, vector]`, optionally with a motion option after them.
 pub(super) fn draw(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let (line, [way, option]) = straight_or_not(param)?;
     let (way, pass) = vector_and_pass(&way, ctx.variables)?;
@@ -118,7 +118,7 @@ pub(super) fn draw(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>
     start(robot, ctx, (Route::Draw { way, line }, pass), Speed::of(line), &text_or_nothing(&option)?)
 }
 
-/// Executes ArchMove: `[pose, height]`, perhaps with the lengths of the rise and the fall.
+/// Executes ArchMove: `[pose, height]`, optionally with the lengths of the rise and the fall.
 pub(super) fn arch(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
     let item = |n: usize| array.get(n).unwrap_or(Variant::Empty).flatten();
@@ -136,7 +136,7 @@ pub(super) fn arch(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>
     start(robot, ctx, (Route::Arch { pose: coordinates.flange(pose), top }, pass), Speed::Line, "")
 }
 
-/// Executes Arrive: waits until the motion under way has covered a part of its path, in percent.
+/// Executes Arrive: waits until the current motion has covered a part of its path, in percent.
 pub(super) fn arrive(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let [percent] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
     if !(percent > 0.0 && percent <= 100.0) {
@@ -265,7 +265,7 @@ pub(super) fn go_home(robot: &mut Robot, ctx: &mut Context<'_>) -> Answered {
     start(robot, ctx, (Route::Home(home), Pass::Stop), Speed::Joints, "")
 }
 
-/// Starts a motion, or adds it to those under way. Without NEXT, the call is answered at its end.
+/// Starts a motion, or appends it to the queue. Without NEXT, the call is answered at the end of the motion.
 fn start(robot: &mut Robot, ctx: &mut Context<'_>, way: (Route, Pass), speed: Speed, option: &str) -> Answered {
     let internal = if speed == Speed::Line { robot.settings().line } else { robot.settings().joint };
     let options = MoveOptions::read(option, internal, ctx)?;
@@ -278,7 +278,7 @@ fn start(robot: &mut Robot, ctx: &mut Context<'_>, way: (Route, Pass), speed: Sp
     if !options.next {
         return Ok(Answer::Until(Wait::Motion(id)));
     }
-    // a motion without length ends at once
+    // a motion without length ends immediately
     robot.advance(ctx.now, ctx.waits);
     Ok(Answer::Done)
 }

@@ -137,7 +137,7 @@ pub(super) fn attribute(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>)
     Answer::of(arm.robot.works.attribute(work(one_int(param)?)?))
 }
 
-/// Executes SetToolDef, SetWorkDef or SetBaseDef: `[number, pose]`, the last two perhaps with the attribute.
+/// Executes SetToolDef, SetWorkDef or SetBaseDef: `[number, pose]`, the last two optionally with the attribute.
 pub(super) fn define(arm: &mut Arm, ctx: &mut Context<'_>, of: FrameKind, param: &Variant<'_>) -> Answered {
     let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
     let (Some(number), Some(pose), 2 | 3) = (array.get(0), array.get(1), array.len()) else {

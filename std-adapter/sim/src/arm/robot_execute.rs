@@ -307,7 +307,7 @@ fn motion_complete(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) ->
     })
 }
 
-/// Executes Motor, also for the controller.
+/// Executes Motor, a command of both the robot and the controller.
 pub(crate) fn motor(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let (state, no_wait) = match numbers(param)?.as_slice() {
         [state] => (whole(*state)?, 0),

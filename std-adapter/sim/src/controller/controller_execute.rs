@@ -36,7 +36,7 @@
 //!
 //! The day of the week counts from Sunday, 0. The client is 0 the controller, 3 a client, 4 a task, -1 unknown.
 //!
-//! File and line, program and its line tell the task in which an error has occurred, and its step.
+//! File and line, program and its line name the task in which an error has occurred, and its step.
 //!
 //! Index 0 is the latest error, the greatest index the oldest one, which is the first cause: clients that print the list
 //! from its end show it in order. An index out of range answers `DISP_E_BADINDEX`.
@@ -229,7 +229,7 @@ pub enum SysStateBit {
 }
 
 impl Controller {
-    /// Removes the errors, also in emergency stop. An error of level 5 cannot be removed, and is the answer.
+    /// Removes the errors, even during an emergency stop. An error of level 5 cannot be removed, and is the answer.
     pub(super) fn clear_error(&mut self, peer: PeerId) -> Answered {
         self.arm.preparation().check_manual_reset(&self.shared.context(peer))?;
         self.clear_errors(self.shared.now);
@@ -361,7 +361,7 @@ fn element<'v>(param: &Variant<'v>, place: usize) -> Option<Variant<'v>> {
     }
 }
 
-/// Reads the task, the name and perhaps the index of a public variable, from this place of the parameter on.
+/// Reads the task, the name and optionally the index of a public variable, from this place of the parameter on.
 fn public_value(param: &Variant<'_>, from: usize) -> Result<(String, String, Option<usize>), HResult> {
     let text = |place| match element(param, place) {
         Some(Variant::Bstr(text)) => Ok(text.to_string().trim().to_owned()),

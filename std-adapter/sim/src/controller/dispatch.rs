@@ -162,7 +162,7 @@ impl Controller {
                 self.sessions.insert(peer);
                 return Ok(Answer::Done);
             }
-            // even without a session: a server releases one as an object, before it passes the client's own call on
+            // even without a session: a server has released it as an object before it passes on the client's Service_Stop
             FunctionId::SERVICE_STOP => {
                 self.forget(peer);
                 return Ok(Answer::Done);
@@ -480,7 +480,7 @@ fn accepts(request: &Request<'_>) -> Option<&'static str> {
     match request.function {
         FunctionId::CONTROLLER_EXECUTE => Command::find(controller_execute::COMMANDS, &name)?.accepts,
         FunctionId::ROBOT_EXECUTE => Command::find(arm::robot_execute::COMMANDS, &name)?.accepts,
-        // of the commands of a hand, none checks its parameter
+        // no command of a hand checks its parameter
         FunctionId::EXTENSION_EXECUTE => Command::find(comm::COMMANDS, &name)?.accepts,
         _ => None,
     }

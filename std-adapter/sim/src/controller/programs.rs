@@ -39,7 +39,7 @@ impl Controller {
     pub(super) fn run_programs(&mut self, now: Instant) {
         while let Some((at, place)) = self.tasks.deadline().filter(|(at, _)| *at <= now) {
             self.pass(self.shared.now.max(at));
-            // an error may have stopped the task meanwhile
+            // an error may have stopped the task in the meantime
             if self.tasks.deadline() == Some((at, place)) {
                 self.take_turn(place, now);
                 self.free_arm_of_tasks();
@@ -166,7 +166,7 @@ impl Controller {
         }
     }
 
-    /// Raises the error of a task's step, at which the task stands.
+    /// Raises the error of a task's step, at which the task stops.
     fn fail_in_task(&mut self, place: usize, code: HResult) {
         self.raise_in_task(code, place);
         if let Ok(task) = self.tasks.get_mut(place) {
@@ -188,7 +188,7 @@ impl Controller {
         self.arm.robot().owner().is_some_and(|owner| self.is_task(owner))
     }
 
-    /// Returns whether the number of a client stands for a task.
+    /// Returns whether a client's number denotes a task.
     pub(super) fn is_task(&self, peer: PeerId) -> bool {
         (0..self.tasks.len()).any(|place| peer_of_task(place) == peer)
     }

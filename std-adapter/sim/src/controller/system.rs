@@ -5,7 +5,7 @@
 //! `E_CAO_NOT_WRITABLE`. Variables without a function in this model have the value of an idle controller: `@DEADMAN_SW`
 //! and `@TSR_BUSY_STATUS` are false, `@AUTO_ENABLE` is true, `@IO_ALLOC_MODE` is 0. A scenario sets `@PROTECTIVE_STOP`.
 //! `@MAKER_NAME` is as on a real controller; `@FIRMWARE` is "bcap-sim", by which a client recognises a virtual one.
-//! Writing `@VAR_I_LEN` and the like changes the number of variables at once; `@VAR_IO_LEN` is read-only. `@LOCK`, the
+//! Writing `@VAR_I_LEN` and the like changes the number of variables immediately; `@VAR_IO_LEN` is read-only. `@LOCK`, the
 //! machine lock, is stored but has no effect.
 
 use bcap_core::handler::PeerId;

@@ -1,4 +1,4 @@
-//! A job in the file system, which needs nothing of the controller.
+//! A job in the file system, independent of the controller.
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read, Write};
@@ -194,7 +194,7 @@ impl FileJob {
 
 /// Writes a source file for each task into `folder`, `Pro1.pcs` for the task `Pro1`: a project on a controller has one.
 ///
-/// It keeps files that exist, and skips tasks whose names are no path below `folder`.
+/// It keeps files that exist, and skips tasks whose names are not a path below `folder`.
 ///
 /// # Errors
 ///
@@ -296,7 +296,7 @@ fn list(folder: &Path) -> Result<JobResult, HResult> {
     owned(names).map(JobResult::Value)
 }
 
-/// Opens a regular file. If a FIFO has replaced it meanwhile, does not wait for its other end.
+/// Opens a regular file. If a FIFO has replaced it in the meantime, does not wait for its other end.
 fn open_regular(path: &Path, options: &mut OpenOptions) -> Result<File, HResult> {
     #[cfg(unix)]
     {
@@ -320,7 +320,7 @@ fn create(path: &Path) -> io::Result<File> {
 fn read_bytes(path: &Path) -> Result<Vec<u8>, HResult> {
     let file = open_regular(path, OpenOptions::new().read(true))?;
     let mut bytes = Vec::new();
-    // the file may grow meanwhile
+    // the file may grow during the read
     file.take(LARGEST + 1).read_to_end(&mut bytes).map_err(failed)?;
     if bytes.len() as u64 > LARGEST { Err(HResult::E_TOO_MUCH_DATA) } else { Ok(bytes) }
 }

@@ -10,13 +10,13 @@ use crate::kinematics::{
     ACCELERATION_TIME, EXTENDED_RANGE, EXTENDED_SPEED, Geometry, Horizontal, Joints, Links, OutOfReach, Vertical,
 };
 
-/// The longest link in mm.
+/// Maximum length of a link in mm.
 const LONGEST: f64 = 1e5;
 
 /// The largest end of a range, in degrees or mm, and the highest speed: beyond them calculations lose all digits.
 const LARGEST: f64 = 1e6;
 
-/// A built-in arm that belongs to no [model](super::Profile). Its file says where each value comes from.
+/// A built-in arm that belongs to no [model](super::Profile). Its file names the source of each value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ArmProfile {

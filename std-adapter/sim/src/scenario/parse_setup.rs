@@ -168,7 +168,7 @@ impl SetupEntry {
 pub(super) fn read_code(text: &str) -> Result<HResult, &'static str> {
     let number = |digits: &str| {
         let number = u32::from_str_radix(digits, 16).ok()?;
-        // a sign is no digit
+        // a sign is not a digit
         (digits.len() == 8 && !digits.starts_with('+')).then(|| HResult::from_u32(number))
     };
     let code = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {

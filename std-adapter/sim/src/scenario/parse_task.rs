@@ -25,7 +25,7 @@ pub(super) struct TaskEntry {
     public: BTreeMap<String, PublicEntry>,
 }
 
-/// A public variable: its type is that of its value, or the key of a pose.
+/// A public variable: its type is the type of its value, or the key of a pose.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum PublicEntry {

@@ -1,4 +1,4 @@
-//! A running scenario: the faults whose time has come, and the fault of each pending call.
+//! A running scenario: the faults to trigger, and the fault of each pending call.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -30,7 +30,7 @@ struct Armed {
     fault: ScenarioFault,
     /// The number of calls that it has counted.
     calls: u64,
-    /// It will not happen again.
+    /// It does not occur again.
     over: bool,
 }
 
@@ -39,9 +39,9 @@ struct Armed {
 struct CallFault {
     refused: Option<HResult>,
     wire: Option<WireFault>,
-    /// How much later the answer comes than the call ends.
+    /// The delay of the answer after the end of the call.
     delay: Duration,
-    /// The link was lost when the call came: it is neither executed nor answered.
+    /// The link was lost when the call arrived: it is neither executed nor answered.
     lost: bool,
     /// The delayed answer, and its time.
     answer: Option<(Instant, HResult, Option<OwnedVariant>)>,
@@ -72,7 +72,7 @@ impl Playback {
         *self = Self { calls, ..Self::new(scenario) };
     }
 
-    /// Takes the earliest fault whose time has come.
+    /// Takes the earliest fault whose time has been reached.
     pub(crate) fn next_effect(&mut self, now: Instant) -> Option<(Instant, Effect)> {
         let waiting = self.faults.iter_mut().filter(|armed| !armed.over);
         let timed = waiting.filter_map(|armed| match armed.fault.when {
@@ -199,12 +199,12 @@ impl Playback {
     fn answered(&mut self, peer: PeerId) {
         match self.calls.get_mut(&peer) {
             Some(fault) if fault.lost || fault.wire.is_some() => fault.answered = true,
-            // nothing more happens to it
+            // no further fault applies to it
             _ => self.forget(peer),
         }
     }
 
-    /// Drops the fault of a call that was given up, or whose client has left.
+    /// Drops the fault of an abandoned call, or of a call whose client has disconnected.
     pub(crate) fn forget(&mut self, peer: PeerId) {
         self.calls.remove(&peer);
     }

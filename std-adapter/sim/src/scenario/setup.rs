@@ -37,7 +37,7 @@ pub struct Setup {
     pub torque_off: bool,
     /// Whether a COBOTTA is prepared, as a person prepares it at the arm. Models without a preparation ignore it.
     pub prepared: bool,
-    /// The current errors, the first cause first.
+    /// The current errors, in order of occurrence.
     pub errors: Vec<HResult>,
     /// Whether a client that is not connected owns the arm.
     pub arm_taken: Option<bool>,

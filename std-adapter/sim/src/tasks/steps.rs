@@ -27,7 +27,7 @@ pub(super) struct Steps {
     pub(super) cycle: Duration,
 }
 
-/// The current step of a task whose time has come.
+/// The current step of a task, ready to be executed.
 #[derive(Clone, Debug)]
 pub(crate) struct ReadyStep {
     steps: Arc<[Step]>,
@@ -70,7 +70,7 @@ impl Steps {
         (self.at, self.entered, self.left, self.polled) = (0, false, Duration::ZERO, None);
     }
 
-    /// Goes to the beginning of the step before the current one.
+    /// Goes back to the beginning of the previous step.
     pub(super) fn step_back(&mut self) {
         (self.at, self.entered, self.left, self.polled) = (self.at.saturating_sub(1), false, Duration::ZERO, None);
     }
@@ -95,7 +95,7 @@ impl Steps {
         ReadyStep { steps: Arc::clone(&self.program.steps), at: self.at, begins: !self.entered }
     }
 
-    /// Records that the current step has begun, and takes this time, or is checked then.
+    /// Records that the current step has begun, and when it ends or is checked.
     pub(super) fn begun(&mut self, now: Instant, time: Duration) {
         self.entered = true;
         self.deadline = now.saturating_add(time.max(self.program.line));
@@ -106,7 +106,7 @@ impl Steps {
         (self.deadline, self.polled) = (until.max(now.saturating_add(self.program.line)), None);
     }
 
-    /// Checks the current step again at the first time after `quiet` that is whole line times away from the first check.
+    /// Checks the current step again at the first multiple of the line time, counted from the first check, after `quiet`.
     pub(super) fn poll(&mut self, now: Instant, quiet: Instant) {
         let first = *self.polled.get_or_insert(now);
         self.deadline = self.next_check(first, quiet.max(now));
@@ -131,7 +131,7 @@ impl Steps {
         first.saturating_add(Duration::from_micros(micros))
     }
 
-    /// Ends the current step. Returns whether it was the last one of the cycle.
+    /// Ends the current step. Returns whether it was the last step of the cycle.
     pub(super) fn end_step(&mut self, now: Instant) -> bool {
         (self.at, self.entered, self.deadline) = (self.at + 1, false, now);
         (self.left, self.polled) = (Duration::ZERO, None);

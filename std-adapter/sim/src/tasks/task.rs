@@ -256,7 +256,7 @@ impl Task {
         Ok(stopped)
     }
 
-    /// Stops it: mode 0 and 1 at once, 2 at the end of the line, 3 at the end of the cycle, 4 at once and back to its
+    /// Stops it: modes 0 and 1 immediately, 2 at the end of the line, 3 at the end of the cycle, 4 immediately and back to its
     /// beginning. Returns whether there was something to stop.
     fn stop(&mut self, mode: i32, now: Instant) -> Result<bool, HResult> {
         let running = self.is_running();
@@ -373,7 +373,7 @@ impl Task {
         self.steps().map(Steps::turn)
     }
 
-    /// Records that the current step has begun, and takes this time, or is checked then.
+    /// Records that the current step has begun, and when it ends or is checked.
     pub(crate) fn begun(&mut self, now: Instant, time: Duration) {
         if let Activity::Steps(steps) = &mut self.activity {
             steps.begun(now, time);
@@ -387,15 +387,15 @@ impl Task {
         }
     }
 
-    /// Checks the current step again at the first time after `quiet` that is whole line times away. Until then nothing
-    /// changes what it waits for, unless [`wake`](Self::wake) is called.
+    /// Checks the current step again at the first multiple of the line time after `quiet`. Before that, its condition does not
+    /// change, unless [`wake`](Self::wake) is called.
     pub(crate) fn poll(&mut self, now: Instant, quiet: Instant) {
         if let Activity::Steps(steps) = &mut self.activity {
             steps.poll(now, quiet);
         }
     }
 
-    /// Checks a polled step again, at the next whole line time.
+    /// Checks a polled step again, at the next multiple of the line time.
     pub(super) fn wake(&mut self, now: Instant) {
         if let Activity::Steps(steps) = &mut self.activity {
             steps.wake(now);
@@ -407,7 +407,7 @@ impl Task {
         self.steps().filter(|steps| self.is_running() && !steps.is_polled()).map(Steps::deadline)
     }
 
-    /// Ends the current step of its program, and with it perhaps the cycle.
+    /// Ends the current step of its program and, with the last step, the cycle.
     pub(crate) fn end_step(&mut self, now: Instant) {
         self.advance(now);
         let Activity::Steps(steps) = &mut self.activity else { return };

@@ -33,7 +33,7 @@ impl Timed {
         if line >= self.lines { self.cycle } else { self.line_time() * line }
     }
 
-    /// Goes to the beginning of the line before the current one.
+    /// Goes back to the beginning of the previous line.
     pub(super) fn step_back(&mut self) {
         self.progress = self.line_time() * self.line().unsigned_abs().saturating_sub(2);
     }

@@ -75,7 +75,7 @@ impl World {
         (outcome, value)
     }
 
-    /// Calls, and expects the answer at once.
+    /// Calls, and expects the answer immediately.
     pub(crate) fn call(&mut self, peer: PeerId, call: impl Call) -> Reply {
         match self.poll(peer, &call, false) {
             (Outcome::Done(code), value) => (code, value),
@@ -83,12 +83,12 @@ impl World {
         }
     }
 
-    /// Calls, moving the clock to each time that the handler wants to be asked again at.
+    /// Calls, moving the clock to each time at which the handler wants to be polled again.
     pub(crate) fn run(&mut self, peer: PeerId, call: impl Call) -> Reply {
         self.run_from(peer, &call, false)
     }
 
-    /// Asks again about a call until it is answered, moving the clock.
+    /// Polls a call until it is answered, moving the clock.
     pub(crate) fn run_again(&mut self, peer: PeerId, call: &impl Call) -> Reply {
         self.run_from(peer, call, true)
     }
@@ -113,7 +113,7 @@ impl World {
         assert!(matches!(outcome, Outcome::Wait(_)), "{:?} answered {outcome:?}", call.function());
     }
 
-    /// Asks again about a call that has waited.
+    /// Polls a waiting call again.
     pub(crate) fn again(&mut self, peer: PeerId, call: &impl Call) -> (Outcome, Value) {
         self.poll(peer, call, true)
     }
@@ -155,7 +155,7 @@ impl World {
         assert_eq!(self.execute(client, "ClearError", ()), ok(&()));
     }
 
-    /// Returns the codes of the current errors, the latest first.
+    /// Returns the codes of the current errors, in reverse order.
     pub(crate) fn errors(&self) -> Vec<HResult> {
         self.sim.errors().map(|error| error.code).collect()
     }

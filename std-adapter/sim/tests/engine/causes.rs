@@ -22,14 +22,14 @@ use crate::engine::{MODES, Rig, format, from_start};
 struct Paused {
     end: EngineAction,
     code: Option<HResult>,
-    /// With what slvMove was refused, which hides the cause.
+    /// The refusal of slvMove, which hides the cause.
     refused: Option<HResult>,
     /// Whether slave mode was on until the engine left it.
     kept: bool,
     underflows: (u32, u64),
 }
 
-/// Streams along, or stands, and gives no pose for 80 ms in the middle.
+/// Streams, moving or at rest, and skips poses for 80 ms in the middle.
 fn pause(link: Link, mode: Mode, running: bool) -> Paused {
     let mut rig = Rig::new(link, format(mode, PoseType::J));
     let (mut count, mut kept) = (0, false);

@@ -42,15 +42,14 @@ fn way(rig: &Rig) -> Vec<f64> {
     way
 }
 
-/// The way of a stream that met nothing.
+/// The path of a stream without a fault.
 fn whole_way(mode: Mode) -> Vec<f64> {
     let (rig, end) = play(Link::Tcp, mode, "");
     assert_eq!(end, EngineAction::Finished);
     way(&rig)
 }
 
-/// Lets two seconds pass, and checks that the robot has stood since its error, the end of slave mode or the last cycle
-/// it moved in, whichever came last.
+/// Lets two seconds pass, and checks that the robot does not move and executes no further cycle of slave mode.
 fn nothing_moves_afterwards(rig: &mut Rig) {
     let (axes, record) = (rig.world.sim.axes(), rig.world.sim.slave_record().count());
     assert!(!rig.world.sim.is_moving());
@@ -59,7 +58,7 @@ fn nothing_moves_afterwards(rig: &mut Rig) {
     assert!(!rig.world.sim.is_moving());
 }
 
-/// The calls after the one that failed, without repetitions: there may be several errors to read.
+/// Returns the calls after the failed call, without repetitions: there may be several errors to read.
 fn sent_after(rig: &Rig, failed: Step) -> Vec<Step> {
     let steps: Vec<Step> = rig.sent.iter().map(|(_, step)| *step).collect();
     let at = steps.iter().rposition(|step| *step == failed).unwrap();
@@ -68,7 +67,7 @@ fn sent_after(rig: &Rig, failed: Step) -> Vec<Step> {
     steps
 }
 
-/// Diagnoses the fault, and does nothing.
+/// The calls of the diagnosis, which change nothing.
 const DIAGNOSIS: [Step; 4] = [Step::GetMode, Step::ErrorCount, Step::ErrorInfo, Step::SystemState];
 
 fn fault(rig: &Rig) -> &Fault {
@@ -131,7 +130,7 @@ fn a_link_that_is_lost_for_good_ends_the_stream_and_the_robot_stands() {
         let (mut rig, end) = play(link, mode, text);
         assert_eq!((end, fault(&rig).step), (EngineAction::Faulted, Step::Move), "{link:?}, {mode:?}");
         assert_eq!(fault(&rig).cause, Cause::Failed(Failure::Timeout));
-        // the controller could not be asked
+        // the controller could not be queried
         assert_eq!((fault(&rig).released, fault(&rig).emergency_stop), (Released::Unknown, None));
         assert_eq!(fault(&rig).errors(), []);
         assert!(sent_after(&rig, Step::Move).iter().all(|step| DIAGNOSIS.contains(step)), "{:?}", rig.sent);
@@ -274,7 +273,7 @@ fn an_emergency_stop_ends_the_stream_for_good() {
         assert_eq!(rig.engine.poll(rig.world.now), EngineAction::Faulted);
         nothing_moves_afterwards(&mut rig);
         assert!(!rig.world.sim.motor_is_on());
-        // released and with the error cleared by somebody else, the engine still does not go on by itself
+        // even when the stop is released and another client has cleared the error, the engine does not continue by itself
         let now: Instant = rig.world.now;
         rig.world.sim.emergency_stop(false, now);
         assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));

@@ -57,7 +57,7 @@ fn check(format: &Format, moved: &MoveReply<'_>, world: &World) {
     assert_eq!(moved.current().is_some(), receive.current);
 }
 
-/// Streams so many poses and checks that all of them arrived.
+/// Streams `count` poses and checks that all of them arrived.
 fn stream(link: Link, format: Format, poses: u32) {
     let mut rig = Rig::new(link, format);
     rig.look = check;

@@ -58,7 +58,7 @@ impl Wire {
         Handles { controller, robot: self.client.value::<RobotHandle>().unwrap() }
     }
 
-    /// Makes a call and sees it to its end, moving the clock to whatever comes next.
+    /// Makes a call and polls it until its end, moving the clock to each next event.
     pub(crate) fn call(&mut self, world: &mut World, call: &impl Call) -> Result<HResult, ClientError> {
         self.call_with(world, call, self.client.timing())
     }
@@ -126,7 +126,7 @@ impl Wire {
         }
     }
 
-    /// Moves the clock to what comes next, a time limit of the client or a cycle of the controller.
+    /// Moves the clock to the next event: a time limit of the client or a cycle of the controller.
     fn wait(&mut self, world: &mut World) -> Option<Event> {
         let next = [self.client.poll_timeout(), self.session.poll_timeout()].into_iter().flatten().min();
         world.now = world.now.max(next.unwrap_or(Instant::ZERO));

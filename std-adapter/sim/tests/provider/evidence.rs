@@ -8,9 +8,9 @@
 //! The test prints the table and fails where an answer and the record disagree. To change a record, add or delete the line
 //! `differs`. `OBSERVATION=E0 cargo test -p bcap-sim --test all provider::evidence -- --nocapture` plays some of them.
 //!
-//! A step is a call, its argument, the layout of its answer (`*` any, `!` a refusal, `!83501032` this code), and perhaps the
-//! answer or a [condition](meets). `2:` before a call is the second client, `begin` starts a call that waits, and `end` receives
-//! its answer. `again` starts the next steps with a new controller.
+//! A step is a call, its argument, the layout of its answer (`*` any, `!` a refusal, `!83501032` this code), and optionally the
+//! answer or a [condition](meets). `2:` before a call is the second client, `begin` starts a call that waits, and `end`
+//! receives its answer. `again` starts the next steps with a new controller.
 
 use std::collections::BTreeMap;
 
@@ -63,7 +63,7 @@ enum Start {
     Connected,
     /// As ready, but the arm is free.
     Released,
-    /// It has called nothing.
+    /// It has made no call.
     Absent,
 }
 
@@ -203,7 +203,7 @@ impl Player {
         }
     }
 
-    /// Compares the codes of the current errors, or the first ones of the log, in reverse order.
+    /// Compares the codes of the current errors, or the latest of the log, in reverse order.
     fn codes(&self, log: bool, expected: &Value) -> Reply {
         let expected: Vec<_> =
             expected.as_array().expect("codes").iter().map(|item| parse_code(item.as_str().unwrap())).collect();
@@ -339,8 +339,8 @@ fn parse_code(digits: &str) -> HResult {
 }
 
 /// Returns whether an answer is a value, or meets a condition: `{ bits = n }` all set, `{ without = n }` none set,
-/// `{ from = n, to = m }`, `{ nonzero = true }` not 0 in any place and no empty text, `{ count = n }` of places, and of one place
-/// `{ at = n, is = value }` or `{ at = n, type = "DATE" }`.
+/// `{ from = n, to = m }`, `{ nonzero = true }` no element is 0 or empty text, `{ count = n }` the number of elements, and for
+/// one element `{ at = n, is = value }` or `{ at = n, type = "DATE" }`.
 fn meets(answer: &Variant<'_>, expected: &Value) -> bool {
     let Value::Table(table) = expected else { return is(answer, expected) };
     let whole = |key: &str| table.get(key).and_then(Value::as_integer);

@@ -169,7 +169,7 @@ impl Rig {
     }
 
     /// Plays the steps of a command: each is the name of a call, its argument, the layout of its answer or `!` for a refusal,
-    /// and perhaps the answer itself.
+    /// and optionally the answer itself.
     fn play(&mut self, object: &str, name: &str, steps: &[Value]) -> (Status, String) {
         let mut answered = false;
         for step in steps {

@@ -191,7 +191,7 @@ fn a_written_servo_on_is_answered_when_the_motor_is_on() {
     assert_eq!(world.robot(client, "TakeArm", [0, 1]), ok(&()));
     assert_eq!(world.robot(client, "slvChangeMode", 514), ok(&()));
     assert_eq!(world.robot(client, "slvChangeMode", 0), ok(&()));
-    // it is on already, so nothing has to be waited for
+    // it is already on, so the call does not wait
     assert_eq!(world.call(client.peer, &on), code(HResult::S_OK));
     assert_eq!(world.call(client.peer, call::variable_put_value(servo, false)), code(HResult::S_OK));
     // an error of level 3 ends the wait with its code

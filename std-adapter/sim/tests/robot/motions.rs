@@ -87,7 +87,7 @@ fn a_move_answers_when_it_has_ended() {
     let expected = 90.0 / (SPEEDS[0] / 2.0) + ACCELERATION_TIME / 2.0;
     assert!((seconds(&world) - start - expected).abs() < 1e-4);
 
-    // to where it stands
+    // to its current position
     let start = world.now;
     assert_eq!(world.move_to(client, 1, "J(0,45,90,0,45,0)", ""), HResult::S_OK);
     assert_eq!(world.now, start);

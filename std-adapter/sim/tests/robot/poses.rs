@@ -35,7 +35,7 @@ fn out_range_tells_whether_a_pose_can_be_reached() {
     assert_eq!(world.robot(client, "OutRange", "J(0, 145, 90, 0, 121, 0)"), ok(&18));
     let (_, in_line) = world.robot(client, "J2P", [0.0, 45.0, 45.0, 0.0, 0.0, 0.0]);
     assert_eq!(world.robot(client, "OutRange", doubles(&in_line).as_slice()), ok(&-2), "J4 and J6 are in line");
-    // as the public sample asks
+    // the query of the public sample
     let pose = ([300.0, 0.0, 400.0, 180.0, 0.0, 180.0, 5.0], "P");
     assert_eq!(world.robot(client, "OutRange", (pose, -1, -1)), ok(&0));
     let far = ([900.0, 0.0, 400.0, 180.0, 0.0, 180.0, 5.0], "P");

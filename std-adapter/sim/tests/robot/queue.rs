@@ -110,7 +110,7 @@ fn hold_keeps_the_queue() {
 fn motion_skip_ends_the_present_motion_only() {
     let mut world = World::new();
     let client = world.mover(1);
-    // as public programs overwrite a target: they skip the motion and start another at once
+    // public programs overwrite a target like this: they skip the motion and immediately start another
     assert_eq!(next(&mut world, client, "J(90,45,90,0,45,0)"), HResult::S_OK);
     world.pass(200);
     assert_eq!(world.robot(client, "MotionComplete", [-1, 1]), ok(&false));
@@ -176,7 +176,7 @@ fn after_hold_and_motion_skip_the_next_motion_begins_with_unhold() {
         }
         assert_eq!(joints(&mut world, client)[..2], [90.0, 0.0], "{calls}");
 
-        // without a next motion there is nothing to hold, and after Halt neither
+        // without a next motion there is nothing to hold, nor after Halt
         for halts in [false, true] {
             assert_eq!(next(&mut world, client, "J(0,45,90,0,45,0)"), HResult::S_OK);
             world.pass(100);
@@ -202,7 +202,7 @@ fn a_pass_is_answered_before_the_end() {
     assert!((seconds(&world) - start - 90.0 / SPEEDS[0]).abs() < 1e-5, "{}", seconds(&world) - start);
     assert_eq!(world.robot(client, "MotionComplete", [-1, 0]), ok(&true));
     assert_eq!(world.robot(client, "MotionComplete", [-1, 1]), ok(&false));
-    // the next motion begins at once, and both take less time than one after the other
+    // the next motion begins immediately, and both take less time than in sequence
     assert_eq!(world.move_to(client, 1, "@0 J(90,45,90,0,45,60)", ""), HResult::S_OK);
     assert_eq!(joints(&mut world, client)[..6], [90.0, 45.0, 90.0, 0.0, 45.0, 60.0]);
     let blended = 90.0 / SPEEDS[0] + 2.0 * (60.0 / (SPEEDS[5] / 0.2)).sqrt();

@@ -8,7 +8,7 @@ use bcap_sim::{ArmProfile, Config, Profile};
 
 use crate::common::{Client, World, ok};
 
-/// The number of programs; the environment variable `PROGRAMS` sets another one.
+/// The number of programs; the environment variable `PROGRAMS` sets another number.
 const PROGRAMS: u64 = 60;
 const STEPS: usize = 40;
 
@@ -18,7 +18,7 @@ fn programs() -> u64 {
     std::env::var("PROGRAMS").ok().and_then(|n| n.parse().ok()).unwrap_or(PROGRAMS)
 }
 
-/// Returns the settings of a program: the arm of a model or another one.
+/// Returns the settings of a program: the arm of a model or another arm.
 fn config(seed: u64) -> Config {
     let rc8 = || Config::new(Profile::Rc8);
     let arm_of = |profile: Profile| Config { geometry: profile.model().geometry, ..rc8() };
@@ -46,7 +46,7 @@ fn pass(random: &mut fastrand::Rng) -> &'static str {
     ["", "@0 ", "@E ", "@P ", "@P ", "@5 ", "@100 "][random.usize(0..7)]
 }
 
-/// Creates a command of a motion; most are possible, some are not.
+/// Creates a motion command; most are possible, some are not.
 fn command(world: &mut World, arm: &Geometry, client: Client, random: &mut fastrand::Rng) -> HResult {
     let mut percent = |least: f64| least + (100.0 - least) * random.f64();
     let option = format!("SPEED={},ACCEL={},DECEL={},NEXT", percent(1.0), percent(5.0), percent(5.0));
@@ -103,7 +103,7 @@ fn recover(world: &mut World, client: Client) {
     }
 }
 
-/// Advances the clock, and checks each millisecond. An error and its stop without braking may come between.
+/// Advances the clock, and checks each millisecond. An error, which stops without braking, may occur in between.
 fn watch(world: &mut World, arm: &Geometry, millis: u64, seed: u64, trace: &mut Vec<Axes>) {
     for _ in 0..millis {
         let before = world.sim.axes();

@@ -19,7 +19,7 @@ fn halt_from_another_connection_ends_the_waiting_move() {
     let go = call::robot_move(client.robot, 1, "J(120,45,90,0,45,0)", "");
     world.begin(client.peer, &go);
     world.pass(300);
-    // it brakes before it stands, and is answered when it does
+    // it brakes before it stops, and is answered when it is at rest
     world.begin(stopper.peer, &call::robot_halt(stopper.robot, ""));
     assert!(matches!(world.again(client.peer, &go).0, Outcome::Wait(_)));
     assert_eq!(world.run_again(stopper.peer, &call::robot_halt(stopper.robot, "")), code(HResult::S_OK));
@@ -143,7 +143,7 @@ fn errors_stop_motion_from_level_two_and_the_motor_from_level_three() {
             assert_eq!((answer, world.errors()), (HResult::S_OK, vec![error]));
             continue;
         }
-        // the cause, and later the client is told
+        // the cause, and later the client is notified
         assert_eq!((answer, world.errors()), (HResult::E_MOTION_STOPPED, vec![HResult::E_MOTION_STOPPED, error]));
         let times: Vec<_> = world.sim.errors().map(|error| error.at.saturating_since(failed).as_millis()).collect();
         assert_eq!(times, [20, 0]);

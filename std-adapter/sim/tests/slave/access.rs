@@ -84,7 +84,7 @@ fn slv_move_without_slave_mode_hides_the_first_cause_which_the_list_tells() {
     let Variant::Array(info) = info.as_variant() else { panic!("no array") };
     assert_eq!(info.get(0).map(Variant::flatten), Some(Variant::I4(UNDERFLOW.0)));
     assert_eq!(rig.world.get(client, "@ERROR_CODE"), ok(&HResult::E_SLVMODE_OFF.0));
-    // recovery: nothing but its own order
+    // recovery: only the listed order works
     assert_eq!(rig.execute("slvChangeMode", 0x002), code(HResult::E_ERROR_PRESENT));
     assert_eq!(rig.world.execute(client, "ClearError", ()), ok(&()));
     assert_eq!(rig.execute("slvChangeMode", 0x002), code(HResult::E_MOTOR_OFF));

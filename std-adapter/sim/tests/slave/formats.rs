@@ -9,7 +9,7 @@ use bcap_sim::{Config, Model, Profile, SlaveConfig, SlaveFormats, VariableKind};
 use crate::common::{Value, code, doubles, ok, value};
 use crate::slave::{Rig, START, assert_close, j1};
 
-/// The items of an answer; one that is no array of VARIANT is its only item.
+/// Returns the items of an answer; an answer that is not an array of VARIANT is its only item.
 fn items(answer: &Value) -> Vec<String> {
     match answer.as_variant() {
         Variant::Array(array) if array.items::<f64>().is_none() && array.items::<u8>().is_none() => {

@@ -1,4 +1,4 @@
-//! Leaving: the buffer is emptied, then comes the answer.
+//! Leaving: the buffer is emptied, then the call is answered.
 
 use bcap_core::bcap::call;
 use bcap_core::bcap::server::Handler as _;
@@ -22,7 +22,7 @@ fn leaving_does_what_is_buffered_and_then_answers() {
     assert_eq!(outcome, Outcome::Wait(entered + CYCLE));
     assert_eq!(rig.mode(), 0x002, "not yet");
     assert_eq!(rig.world.run_again(client.peer, &leave), ok(&()));
-    // three cycles begin, the third stands
+    // three cycles begin; the third does not move
     assert_eq!(rig.world.now, entered + CYCLE * 3);
     assert_eq!((rig.mode(), rig.here()[0], rig.errors()), (0, 0.4, vec![]));
 }

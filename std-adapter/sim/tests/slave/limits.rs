@@ -10,7 +10,7 @@ use bcap_sim::{Config, Scenario, SlaveConfig, SpeedSetting};
 use crate::common::ok;
 use crate::slave::{Rig, START, assert_close, limit};
 
-/// Moves one axis with this acceleration until it is too fast; returns the error, and the speed at which it came.
+/// Moves one axis with this acceleration until it is too fast; returns the error, and the speed at which it occurred.
 fn accelerate(rig: &mut Rig, axis: usize, acceleration: f64) -> (HResult, f64) {
     let mut pose = START;
     let mut speed = 0.0;
@@ -121,12 +121,12 @@ fn stream(rig: &mut Rig, poses: &[[f64; 8]]) -> Vec<HResult> {
     causes(rig)
 }
 
-/// Returns the current errors, without the refusal of the poses after them.
+/// Returns the current errors, without the refusals of the later poses.
 fn causes(rig: &Rig) -> Vec<HResult> {
     rig.errors().into_iter().filter(|code| *code != HResult::E_SLVMODE_OFF).collect()
 }
 
-/// One turn in 100 cycles around the start, J1 going on by 0.1 degrees a cycle, and the last pose once more.
+/// One turn in 100 cycles around the start, while J1 advances by 0.1 degrees a cycle, and the last pose once more.
 fn sample(j2: impl Fn(f64) -> f64) -> Vec<[f64; 8]> {
     let mut poses: Vec<[f64; 8]> = (0..100_u8)
         .map(|n| {

@@ -1,4 +1,4 @@
-//! Slave mode over the handler of b-CAP: each row of its tables, by codes, values and cycles of a clock that stands.
+//! Slave mode over the handler of b-CAP: each row of its tables, by codes, values and cycles of a stopped clock.
 
 mod access;
 mod extended;
@@ -55,7 +55,7 @@ impl Rig {
         rig
     }
 
-    /// Executes a command that must answer at once.
+    /// Executes a command that must answer immediately.
     fn execute(&mut self, command: &str, param: impl Encode) -> Reply {
         self.world.call(self.client.peer, call::robot_execute(self.client.robot, command, param))
     }
@@ -69,7 +69,7 @@ impl Rig {
         self.slv_move(j1(angle)).0
     }
 
-    /// Begins a slvMove that is not answered at once; returns when it is to be asked about again.
+    /// Begins a slvMove that is not answered immediately; returns when to poll it again.
     fn withheld(&mut self, pose: [f64; 8]) -> Instant {
         match self.world.poll(self.client.peer, &call::robot_execute(self.client.robot, "slvMove", pose), false) {
             (Outcome::Wait(at), _) => at,

@@ -61,7 +61,7 @@ fn mode_2_answers_when_the_pose_is_stored() {
     assert_eq!(rig.again(j1(0.4)), (Outcome::Done(HResult::S_OK), value(&START)));
     // the buffer is full again
     assert_eq!(rig.withheld(j1(0.4)), entered + CYCLE * 2);
-    // asked late, it answers with where the robot is by then
+    // polled late, it answers with the position of the robot at that time
     rig.world.pass(12);
     let (outcome, answer) = rig.again(j1(0.4));
     assert_eq!(outcome, Outcome::Done(HResult::S_OK));

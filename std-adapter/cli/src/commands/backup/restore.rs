@@ -1,7 +1,7 @@
 //! `bcap restore`: writes a backup back to the controller.
 //!
-//! The user may read the plan for hours, so the command's own session does not stay open meanwhile, and each value and file is
-//! checked again.
+//! The user may read the plan for hours, so the command's session does not stay open during that time, and each value and file
+//! is checked again.
 
 use std::path::{Path, PathBuf};
 

@@ -28,7 +28,7 @@ pub(crate) struct Find {
     pub(crate) hosts: Vec<String>,
 }
 
-/// How long boards may take to answer.
+/// Maximum time in which boards must answer.
 const LIMIT: Duration = Duration::from_secs(1);
 
 pub(super) fn find(args: &Find, link: &LinkArgs, json: bool) -> Result<(), Failure> {

@@ -9,14 +9,15 @@
 //! answer is untested, which is not a success.
 //!
 //! While a client streams in Slave Mode, the checks after the version are skipped: SysState, GetCurErrorCount and TakeArm would
-//! end the stream. slvGetMode is asked before each of them; a stream that begins in between can still be ended.
+//! end the stream. The command calls slvGetMode before each of them; a stream that begins in between can still be ended.
 //!
 //! Nothing moves and no variable is written. TakeArm is the only way to check that the arm is free, so the arm is taken and
-//! released at once (Keep 1, so that speeds, tool and work coordinates stay). slvChangeMode checks the licence; without the
+//! immediately released (Keep 1, so that speeds, tool and work coordinates stay). slvChangeMode checks the licence; without the
 //! arm it cannot enter Slave Mode. The formats are set for this session only, and only while no client is in Slave Mode.
 //!
-//! A refusal is an error of the controller, which refuses the calls of others until it is cleared. So the refusals of TakeArm and
-//! slvChangeMode are cleared at once, but only if the controller had no error before, and has no other one now.
+//! A refusal is an error of the controller, which refuses calls of other clients until it is cleared. So the refusals of
+//! TakeArm and slvChangeMode are cleared immediately, but only if the controller had no error before, and has no other error
+//! now.
 
 mod report;
 pub(crate) mod scan;
@@ -317,7 +318,7 @@ impl Examined<'_> {
             return Ok(both("a client is in Slave Mode"));
         }
         let formats = self.formats(&mut answers)?;
-        // the controller refuses this without the arm, also with a licence
+        // without the arm, the controller refuses this even with a licence
         let code = self.robot("slvChangeMode", &0x202_i32)?;
         if code.is_ok() {
             // a controller that accepts it is in Slave Mode now

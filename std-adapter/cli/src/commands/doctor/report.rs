@@ -50,7 +50,7 @@ const UNTESTED_HINT: &str = "check that the controller's software has the comman
 /// The findings so far.
 pub(super) struct Report {
     json: bool,
-    /// The first failure, which decides the exit code.
+    /// The first failure, which determines the exit code.
     first: Option<Failure>,
 }
 

@@ -44,7 +44,7 @@ pub(crate) struct Scan {
 
 /// The maximum number of addresses of a scan.
 const MOST: usize = 1024;
-/// The maximum number of addresses that are asked at the same time.
+/// The maximum number of addresses that are probed at the same time.
 const AT_ONCE: usize = 50;
 /// The time limit of each port, which an unused address costs.
 const LIMIT: Duration = Duration::from_secs(1);
@@ -74,7 +74,7 @@ pub(crate) fn scan(args: &Scan, link: &LinkArgs, json: bool) -> Result<(), Failu
     })
 }
 
-/// Returns the addresses to ask.
+/// Returns the addresses to probe.
 fn targets(words: &[String]) -> Result<Vec<NetworkAddress>, Failure> {
     let mut targets = Vec::new();
     let mut found = Vec::new();
@@ -139,7 +139,7 @@ fn expand(word: &str) -> Result<Vec<NetworkAddress>, Failure> {
     let bits: u32 = bits.ok_or_else(|| Failure::Input(format!("{word}: write a network from /22 (1,024) to /32")))?;
     let mask = u32::MAX << (32 - bits);
     let (first, last) = (base.to_bits() & mask, base.to_bits() | !mask);
-    // the first and the last address of a network are not those of hosts
+    // the first and the last address of a network do not belong to hosts
     let hosts = if bits < 31 { first + 1..=last - 1 } else { first..=last };
     hosts.map(|bits| network(&Ipv4Addr::from_bits(bits).to_string())).collect()
 }

@@ -1,6 +1,6 @@
 //! `bcap status`: the state of the controller and of the robot, each line with the command that changes it.
 //!
-//! Variables are read in any case. While a stream of Slave Mode runs, or may run, nothing is sent that would end it.
+//! Variables are always read. While a stream of Slave Mode runs, or may run, the command sends nothing that would end it.
 
 use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::procedure::SysState;

@@ -159,7 +159,7 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
     finish(args, json, &report, chosen.len())
 }
 
-/// How long `--listen` waits for a client, and for its next request.
+/// Maximum time that `--listen` waits for a client, and for its next request.
 const CLIENT_LIMIT: Duration = Duration::from_secs(60);
 
 /// Plays a controller, and judges its clients.

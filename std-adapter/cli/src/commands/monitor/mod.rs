@@ -62,7 +62,7 @@ pub(crate) struct Monitor {
     pub(crate) packets: bool,
 }
 
-/// The longest time from one drawing to the next.
+/// Maximum time between two drawings.
 const FRAME: Duration = Duration::from_millis(50);
 
 /// Runs `bcap monitor` until the user quits or a signal ends it.
@@ -82,7 +82,8 @@ pub(crate) fn monitor(args: &Monitor, session: &mut Session, json: bool) -> Resu
         // without a receiver the command is ending
         let _ = packets.send((role, text.to_owned()));
     });
-    // of the command's session, not of the one that reads: the end of its connection must not close the one that halts
+    // of the command's session, not of the reader's: the end of the reader's connection must not close the connection that
+    // halts
     let interrupt = session.handle_signals()?;
     // the screen must be closed
     interrupt.set_going_on();
@@ -114,8 +115,8 @@ pub(crate) fn monitor(args: &Monitor, session: &mut Session, json: bool) -> Resu
     ended
 }
 
-/// Prints the outcomes of halts and writes that the screen no longer showed. A failed halt is the result, also if the screen still
-/// showed it.
+/// Prints the outcomes of halts and writes that the screen no longer showed. A failed halt is the result, even if the screen
+/// still showed it.
 fn outcomes(update: &Receiver<ScreenUpdate>, shown: Option<&str>) -> Result<(), Failure> {
     let mut failed = shown.map(str::to_owned);
     while let Ok(update) = update.try_recv() {
@@ -186,7 +187,7 @@ impl LiveScreen {
             let idle = interrupt.halt();
             let halted = match idle {
                 Ok(true) => Ok(()),
-                // there is no idle session, or the controller no longer knows its handles
+                // there is no idle session, or its handles are no longer valid on the controller
                 Ok(false) | Err(_) => halt_now(&link).map(drop),
             };
             // without a receiver the command has ended

@@ -88,7 +88,7 @@ impl Rounds<Session> for ScreenLink {
         self.send(ScreenUpdate::Live(update));
     }
 
-    /// Carries out the requests that the user made meanwhile. Fails when the user has quit.
+    /// Carries out the requests that the user has made in the meantime. Fails when the user has quit.
     fn poll(&mut self, session: &mut Session) -> Result<(), Failure> {
         let quit = || Failure::Interrupted("the user has quit".into());
         while let Some(request) = self.wait(Duration::ZERO).ok_or_else(quit)? {

@@ -15,7 +15,7 @@ use bcap_capture::value::data;
 
 const KEYS: &str = "q quit  h HALT  w write  ? keys  Tab panel  Enter details  / filter  s sort";
 
-/// All keys; the help of the command has them, too.
+/// All keys, as in the help of the command.
 pub(crate) const ALL_KEYS: &str = "\
 \x20 q, Ctrl-C            quits
   h, H, Ctrl-X         halts the robot at once; Ctrl-X also at a question
@@ -60,7 +60,8 @@ pub(crate) struct MonitorState {
     /// Whether the calls by object are shown in place of the variables.
     shows_calls: bool,
     input: Input,
-    /// Whether a value that the user typed is being checked. A halt and a lost connection end that: the question comes too late.
+    /// Whether a value that the user typed is being checked. A halt and a lost connection cancel the check, because its
+    /// question would be too late.
     checks: bool,
     notice: Line,
     /// The outcome of the last halt, if it failed. It stays on the screen until a halt succeeds or the user presses Esc.
@@ -111,7 +112,7 @@ pub(crate) fn not_halted(failure: &Failure) -> String {
 pub(crate) enum Action {
     Quit,
     Halt,
-    /// Asks the thread that talks to the controller.
+    /// Sends a request to the thread that communicates with the controller.
     Request(Request),
 }
 
@@ -150,7 +151,7 @@ impl MonitorState {
             ScreenUpdate::Checked(Ok(write)) if self.checks && matches!(self.input, Input::None) => {
                 self.input = Input::Asking(write);
             }
-            // a `y` that the user types now is no answer
+            // a `y` that the user types now is not an answer
             ScreenUpdate::Checked(Ok(write)) => self.notice = Line::alarm(format!("{} was not written", write.path)),
             ScreenUpdate::Checked(Err(why)) | ScreenUpdate::Done(Err(why)) => self.notice = Line::alarm(why),
             ScreenUpdate::Done(Ok(what)) => self.notice = Line::new(what),
@@ -159,7 +160,7 @@ impl MonitorState {
         }
     }
 
-    /// Ends a question, and the check before it: the value may have changed since.
+    /// Cancels a question, or the check before it, because the value may have changed since.
     fn end_question(&mut self) {
         self.checks = false;
         if let Input::Asking(write) = &self.input {
@@ -519,7 +520,7 @@ mod tests {
         let screen = state.screen();
         assert_eq!(text(&screen), ["I1 = 4", "IO128 = true"]);
         let marks = screen.values.lines.iter().map(|line| (line.mark, line.history.clone())).collect::<Vec<_>>();
-        // the first value of a variable is no change
+        // the first value of a variable is not a change
         assert_eq!(marks, [(Mark::Changed, vec![3.0, 4.0]), (Mark::Plain, vec![1.0])]);
         state.set_time(Duration::from_secs(7));
         assert_eq!(state.screen().values.lines[0].mark, Mark::Plain);
@@ -568,7 +569,7 @@ mod tests {
         state.apply(ScreenUpdate::Checked(Ok(write)));
         state.apply(ScreenUpdate::Live(Live::Lost("the cable is broken".into())));
         assert!(typed(&mut state, "y").is_none());
-        // a check that ends while the next value is typed asks nothing
+        // a check that ends while the next value is typed shows no question
         let [value, before] = [6, 5].map(|n| Value::new(&n).unwrap());
         typed(&mut state, "w");
         let write = Write { path: ObjectPath::variable("I1").unwrap(), value, before };
@@ -576,7 +577,7 @@ mod tests {
         assert!(typed(&mut state, "y").is_none());
         assert_eq!(state.screen().notice.text, "write NAME=VALUE: I1=y_   I1 was not written");
         state.key(KeyCode::Esc.into());
-        // without an equals sign nothing is checked
+        // an input without an equals sign is not checked
         typed(&mut state, "w");
         (0..3).for_each(|_| assert!(state.key(KeyCode::Backspace.into()).is_none()));
         assert!(state.key(KeyCode::Enter.into()).is_none());
@@ -672,7 +673,7 @@ mod tests {
         let lines = state.screen().values.lines;
         let shown: Vec<_> = lines.iter().map(|line| (line.text.as_str(), line.mark)).collect();
         assert_eq!(shown, [("     3    1.0/s   0.5 s  Variable_GetValue I1 = I4(8)", Mark::Changed)]);
-        // nothing is selected to be written
+        // no variable is selected for writing
         typed(&mut state, "w");
         assert_eq!(state.screen().notice.text, "write NAME=VALUE: _");
     }
@@ -701,7 +702,7 @@ mod tests {
         let text = "NOT HALTED, use the emergency stop: the cable is broken";
         state.checks = true;
         typed(&mut state, "h");
-        // the check that ends after the halt asks nothing
+        // a check that ends after the halt shows no question
         let [value, before] = [5, 3].map(|n| Value::new(&n).unwrap());
         let write = Write { path: ObjectPath::variable("I1").unwrap(), value, before };
         state.apply(ScreenUpdate::Checked(Ok(Box::new(write))));

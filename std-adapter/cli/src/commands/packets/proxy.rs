@@ -60,8 +60,8 @@ pub(crate) struct Proxy {
 
     /// Drops this share of the frames, SHARE[:FUNCTION[/COMMAND]]
     ///
-    /// FUNCTION is a name or a number of `bcap call --list`, or GET or PUT of RAC. A fault of a function is one of its requests
-    /// and of its replies. The option may be repeated.
+    /// FUNCTION is a name or a number of `bcap call --list`, or GET or PUT of RAC. A fault with a function applies to its
+    /// requests and its replies. The option may be repeated.
     #[arg(long, value_name = "SHARE[:FUNCTION]", help_heading = "Faults")]
     pub(crate) drop: Vec<Share>,
 
@@ -87,7 +87,7 @@ pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Fai
     let seed = args.seed.unwrap_or_else(|| fastrand::u64(..));
     let runtime = runtime()?;
     runtime.block_on(async {
-        // the signals first: a reader of the line may send one at once
+        // install the signal handlers first: a reader of the `ready` line may send a signal immediately
         let ended = signal::wait()?;
         let listeners = bind(args).await?;
         let printer = (!args.quiet).then(|| Printer::start(json)).transpose()?;

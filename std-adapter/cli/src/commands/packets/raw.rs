@@ -63,9 +63,9 @@ pub(crate) struct Raw {
     pub(crate) last: bool,
 }
 
-/// The longest wait between two looks for a signal.
+/// Maximum wait between two checks for a signal.
 const STEP: Duration = Duration::from_millis(50);
-/// The longest wait for a peer that reads nothing.
+/// Maximum wait for a peer that does not read.
 const SEND: Duration = Duration::from_secs(10);
 /// The largest datagram.
 const DATAGRAM: usize = 65_535;
@@ -75,7 +75,7 @@ pub(crate) fn raw(args: &Raw, session: &mut Session, json: bool) -> Result<(), F
     let interrupt = session.handle_signals()?;
     let lines = (args.packets.is_empty() || args.packets == ["-"]).then(|| Lines::read(BufReader::new(io::stdin())));
     let lines = lines.transpose()?;
-    // otherwise the input is read to its end, to know its last line, and to repeat it
+    // otherwise the input is read to its end, to find its last line, and to repeat it
     let is_live = args.listen.is_none() && !args.last && args.rounds == 1;
     let mut words = if lines.is_some() { Vec::new() } else { args.packets.clone() };
     while let Some(line) =
@@ -187,7 +187,7 @@ impl Peer {
         if protocol == Protocol::Udp {
             let socket = UdpSocket::bind(local).map_err(failed)?;
             print_line(&format!("ready udp:{}", socket.local_addr().map_err(failed)?))?;
-            // signals are noticed between two waits
+            // signals are checked between two waits
             socket.set_read_timeout(Some(STEP)).map_err(failed)?;
             return Ok(Self::UdpServer(socket, None));
         }
@@ -247,7 +247,7 @@ impl Peer {
 /// The exchange of packets with the other end.
 struct Talk {
     peer: Peer,
-    /// What this end sends.
+    /// The role of this end: it sends requests or responses.
     role: Role,
     /// Received bytes that are not a packet yet.
     received: Vec<u8>,
@@ -311,7 +311,7 @@ impl Talk {
         let began = std::time::Instant::now();
         let mut buffer = vec![0; DATAGRAM];
         loop {
-            // first, because a peer can send packets without end
+            // first, because a peer can send packets endlessly
             self.interrupt.check("interrupted")?;
             if limit.is_some_and(|limit| began.elapsed() >= limit) {
                 return Ok(None);

@@ -19,13 +19,13 @@ use crate::session::{Session, traffic};
 
 /// Makes the calls of a capture again, and compares the replies
 ///
-/// Every connection of the capture is opened again, and its calls are made at their times. A call is never made before the calls
-/// that were answered before it have been answered again. Handles are replaced by those that the robot gives now; a call is not
-/// sent if its object is not open in the replay. The retries of calls over UDP are not repeated. A reply that differs is printed
-/// with the recorded one, and the exit code is then 1. A call that had no reply is made, but not compared.
-/// At most 1024 connections are replayed. When the output is closed, such as by `head`, no more calls are made. The end of a
-/// connection and Ctrl-C halt the robot, switch the motor off and give the arm back if the replayed calls require that. After a
-/// lost connection a new one does that. If it failed, the command says so.
+/// Every connection of the capture is opened again, and its calls are made at their times. A call is sent only after every call
+/// that was answered before it in the capture has been answered. Handles are replaced by those that the robot gives now; a call
+/// is not sent if its object is not open in the replay. The retries of calls over UDP are not repeated. A reply that differs is
+/// printed with the recorded one, and the exit code is then 1. A call that had no reply is made, but not compared. At most 1024
+/// connections are replayed. When the output is closed, such as by `head`, no more calls are made. The end of a connection and
+/// Ctrl-C halt the robot, switch the motor off and give the arm back if the replayed calls require that. If the connection is
+/// lost, the command does this over a new connection. If this failed, the command says so.
 ///
 /// Functions and commands that may move the robot or write must be allowed by name (`bcap call --list --effects`). Without
 /// that nothing is sent.
@@ -80,7 +80,7 @@ pub(crate) fn replay(args: &Replay, link: &LinkArgs, json: bool) -> Result<(), F
     let done = made(&plan, &robot, &options, json);
     interrupt.enter(State::Stepping);
     if matches!(done, Err(Failure::Unfit { .. })) {
-        // after a signal too: the effects on the robot were perhaps not ended
+        // even after a signal: the effects on the robot may not have been ended
         return done;
     }
     let left = if plan.is_harmless() { "" } else { ": its effects on the robot were ended" };

@@ -1,4 +1,4 @@
-//! `bcap errors`. While a stream of Slave Mode runs it sends nothing that would end it.
+//! `bcap errors`. While a stream of Slave Mode runs, the command sends nothing that would end it.
 
 use std::time::Duration;
 
@@ -71,7 +71,7 @@ pub(crate) fn list(session: &mut Session, json: bool) -> Result<(), Failure> {
     if count == 0 && !json {
         print_line("no errors")?;
     }
-    // the last one is the first cause; each is printed at once, so that a refusal of a later one does not hide it
+    // the last error is the first cause; each is printed immediately, so that a refusal of a later query does not hide it
     (0..count).rev().try_for_each(|index| {
         let (code, message) = error(session, &mut check, index)?;
         print_error(code, &message, json)

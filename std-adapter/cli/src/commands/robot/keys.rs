@@ -19,7 +19,7 @@ use crate::session::Session;
 /// The steps, in mm or degrees.
 const STEPS: [f64; 4] = [0.1, 1.0, 5.0, 10.0];
 
-/// The longest time from one drawing to the next.
+/// Maximum time between two drawings.
 const FRAME: Duration = Duration::from_millis(50);
 
 const KEYS: &str = "Up Down axis  Left Right step  [ ] its size  Esc HALT and end";
@@ -80,7 +80,7 @@ impl Keys<'_> {
             session.restart_budget();
             self.axes = axis::read_all(session)?;
             terminal.draw(&self.screen())?;
-            // keys of a slow link arrive together: only the last one counts
+            // keys of a slow link arrive together: only the last key counts
             let by = terminal.keys(FRAME)?.into_iter().filter_map(|key| self.key(key)).last();
             if let Some(by) = by.filter(|_| !self.ends) {
                 self.step(by, &mut terminal, session)?;
@@ -89,7 +89,7 @@ impl Keys<'_> {
         Ok(())
     }
 
-    /// Handles a key that arrives while the robot rests; returns the step that it asks for.
+    /// Handles a key that arrives while the robot rests; returns the requested step.
     fn key(&mut self, key: KeyEvent) -> Option<f64> {
         self.ends |= halts(key);
         self.notice = Line::default();

@@ -118,7 +118,7 @@ pub(crate) fn step(axis: Axis, by: f64, how: &MotionArgs) -> MoveArgs {
     }
 }
 
-/// Asks before the robot moves.
+/// Asks for confirmation before the robot moves.
 pub(crate) fn ask(what: &str, how: &MotionArgs, session: &mut Session) -> Result<(), Failure> {
     check_speed(how.speed)?;
     // a signal at the question prevents the motion
@@ -184,7 +184,7 @@ pub(crate) fn with_arm<T>(
     if had_arm {
         return ended;
     }
-    // halts the robot if the connection was lost: the controller gives the arm back only when it notices that
+    // halts the robot if the connection was lost: the controller releases the arm only when it detects the loss
     session.abandon();
     let given = session.give_arm();
     interrupt.enter(State::Stepping);

@@ -1,4 +1,4 @@
-//! `bcap recover`: shows what is wrong and the plan, asks, and recovers the robot step by step.
+//! `bcap recover`: shows the problems and the plan, asks for confirmation, and recovers the robot step by step.
 
 use std::io;
 use std::ops::ControlFlow;
@@ -119,7 +119,7 @@ fn show(state: &Examination, steps: &[RecoveryStep], json: bool) -> io::Result<(
     if is_needed { print_line(&format!("plan     {}", plan.join(", "))) } else { Ok(()) }
 }
 
-/// Asks the user. Returns whether the user knows that no other program uses the robot.
+/// Asks for confirmation. Returns whether the user has vouched that no other program uses the robot.
 fn ask(args: &Recover, session: &mut Session, state: &Examination, steps: &[RecoveryStep]) -> Result<bool, Failure> {
     let names: Vec<&str> = steps.iter().map(|step| step.name()).collect();
     let what = format!("{} gets {}", session.link().target()?, names.join(", "));
@@ -138,15 +138,15 @@ fn ask(args: &Recover, session: &mut Session, state: &Examination, steps: &[Reco
     Ok(has_errors)
 }
 
-/// Makes the steps, and reports each. A signal ends it after a step, and halts the robot from the time at which the arm is taken.
-/// The second value is false if a step could not be undone, and nothing is left that would undo it.
+/// Performs the steps, and reports each. A signal ends it after a step, and halts the robot once the arm is taken. The second
+/// value is false if a step could not be undone and no later action undoes it.
 fn perform(
     session: &mut Session,
     config: RecoveryConfig,
     interrupt: &Interrupt,
     json: bool,
 ) -> (Result<(), Failure>, bool) {
-    // the preparation and the motor take longer than other calls, and nothing may keep them from being undone
+    // the preparation and the motor take longer than other calls, and no time limit may prevent undoing them
     session.suspend_budget();
     if session.has_arm() {
         interrupt.enter(State::Moving);

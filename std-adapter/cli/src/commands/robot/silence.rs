@@ -1,6 +1,6 @@
-//! Reports a link that stops answering while a motion is under way.
+//! Reports a link that stops answering during a motion.
 //!
-//! A call waits for its reply much longer than a person may stand next to a robot without knowing that nothing watches it.
+//! The timeout of a call is too long for this: a person next to the robot must be warned earlier that nothing monitors it.
 
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
@@ -12,10 +12,10 @@ use crate::failure::Failure;
 use crate::output::note;
 use crate::session::Session;
 
-/// How long a request is without any reply, even without a keep-alive, before that is reported.
+/// Time without a reply or a keep-alive after which the link is reported as silent.
 const LIMIT: Duration = Duration::from_secs(1);
 
-/// How often the link is looked at.
+/// Interval at which the link is checked.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Watches the link of a session; the drop ends that.

@@ -152,7 +152,7 @@ fn list_tasks(session: &mut Session, json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Returns a number, or the first one of an array, such as the line of `@LINE_NO`.
+/// Returns a number, or the first number of an array, such as the line of `@LINE_NO`.
 fn first_number(value: Variant<'_>) -> Option<f64> {
     value.as_array().and_then(|array| array.iter().next()).unwrap_or(value).as_f64()
 }

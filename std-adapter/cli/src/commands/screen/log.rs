@@ -1,6 +1,6 @@
 //! The panels of a log of calls: one call a line, `#4 I4(1) = Variable_GetValue(variable: I4(3))`.
 //!
-//! The reply comes first, because a narrow terminal cuts the end.
+//! The reply is at the front, because a narrow terminal cuts off the end.
 
 use std::time::Duration;
 

@@ -173,7 +173,7 @@ fn serial_line(text: &str) -> Result<SerialLine, String> {
     }
 }
 
-/// Where a model or an arm comes from.
+/// The source of a model or an arm.
 #[derive(Clone, Debug)]
 pub(crate) enum Source<T> {
     BuiltIn(T),
@@ -181,7 +181,7 @@ pub(crate) enum Source<T> {
 }
 
 impl<T: Copy> Source<T> {
-    /// Finds a built-in one by its name, or takes the text as the name of a file.
+    /// Finds a built-in source by its name, or takes the text as the name of a file.
     fn find(text: &str, all: &[(&str, T)]) -> Result<Self, String> {
         let name = text.to_ascii_lowercase();
         match all.iter().find(|(known, _)| *known == name) {

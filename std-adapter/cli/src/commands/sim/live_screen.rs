@@ -130,7 +130,7 @@ impl Watched {
         self.log.call(&format!("client {}:", peer.0), &call, &reply, Duration::from_micros(now.as_micros()));
     }
 
-    /// Returns the content at a time.
+    /// Returns the content of the screen at this time.
     fn screen(&mut self, addresses: &str, now: Instant) -> Screen {
         self.controller.advance(now);
         let (controller, point) = (&self.controller, self.controller.point());

@@ -62,7 +62,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         bcap_terminal::screen::require("leave --screen out").map_err(Failure::Input)?;
     }
     runtime()?.block_on(async {
-        // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
+        // install the signal handlers before the `ready` line: a reader of that line may send a signal immediately
         let ended = signal::wait()?;
         if let Some(capture) = &args.replay {
             return replay(capture, serving, ended).await;
@@ -335,7 +335,7 @@ fn read_file<T, E: fmt::Display>(
     path: &Path,
     parse: impl FnOnce(&str) -> Result<T, E>,
 ) -> Result<(T, String), Failure> {
-    // a FIFO without a writer would block for ever
+    // a FIFO without a writer would block forever
     let regular = |metadata: fs::Metadata| match metadata.is_file() {
         true => fs::read_to_string(path),
         false => Err(io::Error::other("it is not a regular file")),

@@ -24,7 +24,7 @@ use crate::link::LinkArgs;
 use crate::session::Session;
 use crate::session::confirm::Question;
 
-/// How long the motion to the start of a stream may take.
+/// Maximum time of the motion to the start of a stream.
 const APPROACH: Duration = Duration::from_secs(180);
 
 /// Runs `bcap slave`.
@@ -95,7 +95,8 @@ fn cosine(args: &Cosine, session: &mut Session, json: bool) -> Result<(), Failur
     run(course, start, Job { format, args: &args.stream, link, json, target, interrupt })
 }
 
-/// Refuses a motion to the start that nothing could halt: the line's only session waits for the end of the motion.
+/// Refuses a motion to the start over a serial line, because it could not be halted: the line's only session waits for the end
+/// of the motion.
 fn check_can_halt(option: &str, link: &LinkArgs) -> Result<(), Failure> {
     if link.is_serial() {
         return Err(Failure::Input(format!(

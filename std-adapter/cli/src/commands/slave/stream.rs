@@ -297,7 +297,7 @@ fn end_left<X: Wire<Error = io::Error>>(
     if !(left.moving || left.streaming || left.motor) {
         return;
     }
-    // a connection that is closed, not silent, ends the session on the controller, too
+    // if the connection was closed, and is not merely silent, the controller ends the session, too
     let is_closed = matches!(fault.map(|fault| fault.cause), Some(Cause::Failed(NoReply::Lost | NoReply::Closed)));
     let claim = if is_closed { Claim::Unknown } else { Claim::Lost };
     let done = watch.map(|(watch, handles)| watch.run(reclaim(handles.robot, Effects { claim, ..left })));
@@ -317,7 +317,7 @@ fn end_left<X: Wire<Error = io::Error>>(
     ));
 }
 
-/// Returns whether the motor is on, if the controller tells.
+/// Returns whether the motor is on; false if the controller does not answer.
 fn motor_is_on<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, Vec<u8>>, robot: RobotHandle) -> bool {
     let Ok(variable) = motion.call(call::robot_get_variable(robot, "@SERVO_ON", "")) else { return false };
     let is_on = motion.call(call::variable_get_value(variable)).is_ok_and(|value| value.as_bool() == Some(true));

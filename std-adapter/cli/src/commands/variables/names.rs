@@ -74,8 +74,8 @@ pub(crate) fn all_names(session: &mut Session) -> Option<Vec<String>> {
     Some(all)
 }
 
-/// Prints the lists of `bcap names`: each completely, or not at all. A refused list is reported, except one that the
-/// controller does not implement.
+/// Prints the lists of `bcap names`, each either complete or not at all. A refused list is reported, unless the controller does
+/// not implement it.
 struct Lists<'a> {
     session: &'a mut Session,
     /// Only names with this text are printed.

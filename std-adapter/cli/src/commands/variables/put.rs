@@ -63,7 +63,7 @@ pub(crate) struct Put {
     pub(crate) from: Option<PathBuf>,
 }
 
-/// The maximum number of variables that are open at a time: a controller has a limit.
+/// The maximum number of variables that are open at the same time: a controller has a limit.
 pub(crate) const GROUP: usize = 500;
 
 /// A variable and the value to write.

@@ -59,7 +59,7 @@ fn run(path: &Path, mut config: Config) -> Result<(), Failure> {
     let (log, writer) = events::open(io::stdout())?;
     let log = Arc::new(log);
     runtime()?.block_on(async {
-        // the signals first: a reader of the line may send one at once
+        // install the signal handlers first: a reader of the `ready` line may send a signal immediately
         let mut reload = Reload::new(path)?;
         let mut fleet = start(&config, &log).await?;
         let metrics = fleet.metrics_address().map(|address| format!(" metrics={address}")).unwrap_or_default();

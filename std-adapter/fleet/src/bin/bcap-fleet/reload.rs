@@ -1,4 +1,4 @@
-//! SIGHUP reads the configuration again. A fault in it changes nothing, and the running fleet goes on.
+//! SIGHUP reads the configuration again. If it is invalid, nothing changes and the running fleet continues.
 
 use std::io::{self, IsTerminal as _};
 use std::path::{Path, PathBuf};

@@ -12,7 +12,7 @@ use crate::failure::{Failure, of_file};
 use crate::output::print_line;
 use bcap_capture::value::data;
 
-/// A table under way; the first row decides its columns.
+/// A partly written table; the first row determines its columns.
 pub(crate) struct Table {
     /// The file, unless it is the standard output.
     file: Option<File>,

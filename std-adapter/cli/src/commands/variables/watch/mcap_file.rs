@@ -33,7 +33,7 @@ impl Samples {
         self.series.push(&format!("/{name}"), schema, at, &json!({ "value": value })).map_err(of_file(&self.path))
     }
 
-    /// Writes values that were read a second ago, also while they do not change.
+    /// Writes values that were read a second ago, even if they have not changed.
     pub(crate) fn end_round(&mut self, elapsed: Duration) -> Result<(), Failure> {
         self.series.write_older(self.time(elapsed)).map_err(of_file(&self.path))
     }
