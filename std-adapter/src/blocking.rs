@@ -154,7 +154,7 @@ impl Timeouts {
         // the send buffer almost always has room for a request, so the common case needs no timeout
         match classified(try_send(socket, bytes)) {
             Some(Ok(Some(count))) => return Ok(Some(count)),
-            // the system tells once that it has given up a connection
+            // the system reports a connection that it abandoned once only
             Some(Err(error)) if error.kind() == io::ErrorKind::TimedOut => return Err(error),
             _ => {}
         }
@@ -262,7 +262,8 @@ fn classified(result: io::Result<usize>) -> Option<io::Result<Option<usize>>> {
         Ok(count) => Some(Ok(Some(count))),
         Err(error) => match error.kind() {
             io::ErrorKind::WouldBlock => Some(Ok(None)),
-            // the timeout of a socket of Windows and of a serial line; on Unix the system gives up a connection with this error
+            // the timeout of a socket of Windows and of a serial line; on Unix the system reports an abandoned connection with
+            // this error
             io::ErrorKind::TimedOut if cfg!(windows) || error.raw_os_error().is_none() => Some(Ok(None)),
             io::ErrorKind::Interrupted => None,
             _ => Some(Err(error)),

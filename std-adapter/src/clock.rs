@@ -8,7 +8,7 @@ use bcap_core::time::{Instant, micros};
 /// The monotonic time of the first use; 0 before it.
 static ORIGIN: AtomicU64 = AtomicU64::new(0);
 
-/// Returns the present time on the clock that all clients and servers of this crate share.
+/// Returns the current time on the clock that all clients and servers of this crate share.
 #[must_use]
 pub fn now() -> Instant {
     let now = monotonic();
@@ -44,8 +44,7 @@ fn monotonic() -> u64 {
     bcap_core::time::micros(ORIGIN.get_or_init(std::time::Instant::now).elapsed())
 }
 
-/// The clock of a transport that remembers its last reading for the wait that follows, so that a call reads the clock once: when it
-/// starts.
+/// The clock of a transport. It keeps its last reading for the next wait, so a call reads the clock only once, at its start.
 #[derive(Debug)]
 pub(crate) struct RecentClock {
     /// The last reading in microseconds; 0 without one.
@@ -57,15 +56,15 @@ impl RecentClock {
         Self { recent: AtomicU64::new(0) }
     }
 
-    /// Reads the clock, and remembers the time.
+    /// Reads the clock, and stores the time.
     pub(crate) fn now(&self) -> Instant {
         let now = now();
         self.recent.store(now.as_micros(), Ordering::Relaxed);
         now
     }
 
-    /// Returns the microseconds until `at`, from the remembered time. It forgets that time, because the caller waits next; without one
-    /// it reads the clock.
+    /// Returns the microseconds until `at`, counted from the stored time, and clears that time, because the caller waits next.
+    /// Without a stored time it reads the clock.
     pub(crate) fn micros_until(&mut self, at: Instant) -> u64 {
         match std::mem::take(self.recent.get_mut()) {
             0 => micros(until(at)),

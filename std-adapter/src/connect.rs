@@ -71,19 +71,19 @@ impl Options {
         }
     }
 
-    /// Makes a client for TCP.
+    /// Creates a client for TCP.
     pub(crate) fn tcp_client(&self) -> Client<Vec<u8>> {
         Client::new(self.tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM])
     }
 
-    /// Makes a client for UDP.
+    /// Creates a client for UDP.
     pub(crate) fn udp_client(&self) -> Client<Vec<u8>> {
         let mut client = Client::new(self.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
         client.set_next_serial(random_serial());
         client
     }
 
-    /// Makes a client of RAC.
+    /// Creates a RAC client.
     pub(crate) fn rac_client(&self) -> rac::Client<[u8; rac::MAX_VALUE]> {
         rac::Client::new(self.rac, [0; rac::MAX_VALUE])
     }
@@ -101,7 +101,7 @@ pub enum ConnectError {
         /// The resolver's error.
         source: io::Error,
     },
-    /// No address of the name accepted the connection; this is the error of the last one.
+    /// No address of the name accepted the connection; this is the error of the last address.
     #[error("cannot connect to {address}")]
     Connect {
         /// The last address.
@@ -220,7 +220,7 @@ pub(crate) fn udp<A: ToSocketAddrs + Debug>(name: A) -> Result<UdpSocket, Connec
     })
 }
 
-/// Makes a client for a serial line.
+/// Creates a client for a serial line.
 #[cfg(feature = "serial")]
 pub(crate) fn serial_client(config: Config) -> Client<Vec<u8>> {
     let mut client = Client::new(config, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);

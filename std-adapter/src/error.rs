@@ -66,7 +66,7 @@ pub enum Error {
         /// Why.
         reason: String,
     },
-    /// A stream of Slave Mode cannot be configured so. No call was made.
+    /// The configuration of a stream of Slave Mode is invalid. No call was made.
     #[error(transparent)]
     StreamConfig(ConfigError),
     /// A stream of Slave Mode failed.
@@ -75,7 +75,7 @@ pub enum Error {
     /// The robot still moves after the halt, or the controller refuses Robot_Halt, so that the robot may move at any time.
     #[error("{0}; use the emergency stop")]
     NotHalted(Halt),
-    /// The connection was lost, and the effects of the session on the robot were not all seen to end over a new connection.
+    /// The connection was lost, and a new connection could not verify that all effects of the session on the robot have ended.
     #[error("the connection was lost; over a new one {0}")]
     NotEnded(Recovery),
     /// A recovery or a preparation ended before its last step. It names the step, the controller's code, and what to do.
@@ -90,8 +90,8 @@ pub enum Error {
     /// The controller did not accept the connection.
     #[error(transparent)]
     Connect(#[from] ConnectError),
-    /// The controller refused a call, which had no effect. Only after [`E_TIMEOUT`](HResult::E_TIMEOUT) it may have one: the
-    /// controller has given the call up, and may still execute it.
+    /// The controller refused a call, which had no effect. The exception is [`E_TIMEOUT`](HResult::E_TIMEOUT): the controller
+    /// abandoned the call, and may still execute it.
     #[error("{function} of {object}: the controller refused: {}", explained(*code))]
     Refused {
         /// The called function.
@@ -101,7 +101,7 @@ pub enum Error {
         /// The controller's code.
         code: HResult,
     },
-    /// A call has no reply. Unless it was not sent, the controller may have executed it: a motion may be under way.
+    /// A call has no reply. Unless it was not sent, the controller may have executed it: a motion may be in progress.
     #[error("{function} of {object}: {source}")]
     NoReply {
         /// The called function.
@@ -131,12 +131,12 @@ pub enum Error {
         /// The last value that was read.
         last: OwnedVariant,
     },
-    /// A value does not have the type that the caller asked for.
+    /// A value does not have the requested type.
     #[error("the value of {object}: {source}")]
     Value {
         /// The variable or the command.
         object: String,
-        /// Which type was found, and which was wanted.
+        /// The found type and the expected type.
         source: ConvertError,
     },
 }
@@ -160,8 +160,8 @@ impl Error {
         }
     }
 
-    /// Returns whether the controller may have executed the call that failed: it has no reply that says otherwise. A motion may be
-    /// under way then.
+    /// Returns whether the controller may have executed the call that failed: no reply says otherwise. A motion may then be in
+    /// progress.
     #[must_use]
     pub const fn may_have_run(&self) -> bool {
         use ClientError::{Busy, Encode, TooLarge};
@@ -191,8 +191,8 @@ impl Error {
         }
     }
 
-    /// Returns whether a halt must be made over a new session: the connection is lost, the halt has no reply, or the controller no
-    /// longer knows the session, as after the eviction of an idle peer over UDP.
+    /// Returns whether a halt must be made over a new session: the connection is lost, the halt has no reply, or the session no
+    /// longer exists on the controller, as after the eviction of an idle peer over UDP.
     pub(crate) const fn ends_session(&self) -> bool {
         match self {
             Self::NoReply { .. } | Self::NotConnected { .. } => true,

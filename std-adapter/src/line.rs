@@ -75,7 +75,7 @@ impl SerialLine {
         Self { stop_bits, ..self }
     }
 
-    /// Returns how long the line takes for a number of bytes in one direction.
+    /// Returns the transmission time of a number of bytes in one direction.
     #[must_use]
     pub fn transfer_time(&self, bytes: u32) -> Duration {
         let bits = u64::from(bytes) * u64::from(self.byte_bits());

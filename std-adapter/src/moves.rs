@@ -1,4 +1,4 @@
-//! Motions as a robot is told them.
+//! Descriptions of motions: destination, interpolation, speed, pass.
 
 mod destination;
 
@@ -79,7 +79,7 @@ impl Destination {
     }
 }
 
-/// Reads a value of the controller's language, such as `J(0, 45, 90, 0, 45, 0)`.
+/// Parses a value of the controller's language, such as `J(0, 45, 90, 0, 45, 0)`.
 fn literal(text: &str) -> Target {
     let numbers = |inside: &str| -> Option<Vec<f64>> {
         inside.strip_suffix(')')?.split(',').map(|number| number.trim().parse().ok()).collect()
@@ -136,7 +136,7 @@ pub enum Pass {
     Exact,
     /// `@0`: the commanded position has reached the destination.
     Commanded,
-    /// `@P`: near the destination, as the controller decides.
+    /// `@P`: near the destination, at a distance that the controller chooses.
     Near,
     /// `@n`: this many mm from the destination.
     Within(u16),
@@ -198,9 +198,9 @@ pub enum Plane {
 
 /// A motion, for `Arm::move_to` and `Arm::start`.
 ///
-/// Each line names the controller's command. `NEXT` is always among the options: the library itself waits for the end,
-/// so that it can halt the robot at any time. Not offered: free curves (interpolation 4) and `TIME=`, because no source
-/// says what the controller expects.
+/// Each line names the controller's command. `NEXT` is always among the options: the library itself waits for the end, so that
+/// it can halt the robot at any time. Not offered: free curves (interpolation 4) and `TIME=`, because no source describes what
+/// the controller expects.
 ///
 /// # Examples
 ///
@@ -284,18 +284,18 @@ impl Move {
         Self { pass, ..self }
     }
 
-    /// Sets the speed in percent of the speed that the arm is set to. **Without it the motion has all of that speed**, while
-    /// `bcap move` takes 10 %.
+    /// Sets the speed in percent of the arm's speed setting. **Without it the motion has the full speed of that setting**,
+    /// while `bcap move` takes 10 %.
     pub fn speed_percent(self, percent: f64) -> Self {
         Self { speed: Some(percent), ..self }
     }
 
-    /// Sets the acceleration in percent; without it, as the arm is set.
+    /// Sets the acceleration in percent; without it the setting of the arm applies.
     pub fn acceleration_percent(self, percent: f64) -> Self {
         Self { acceleration: Some(percent), ..self }
     }
 
-    /// Sets the deceleration in percent; without it, as the arm is set.
+    /// Sets the deceleration in percent; without it the setting of the arm applies.
     pub fn deceleration_percent(self, percent: f64) -> Self {
         Self { deceleration: Some(percent), ..self }
     }
@@ -313,7 +313,7 @@ impl Move {
         options
     }
 
-    /// Returns the variable to read before the motion, to know where it ends.
+    /// Returns the variable to read before the motion, to find out where it ends.
     pub(crate) fn variable(&self) -> Option<String> {
         match &self.way {
             Way::To(_, destination) | Way::Circle { end: destination, .. } | Way::Approach(_, destination, _) => {
@@ -331,7 +331,7 @@ impl Move {
             Way::Approach(_, destination, mm) => destination.target(variable).back(*mm),
             Way::Depart(_, mm) => Target::here().back(*mm),
             Way::Drive { command, axes } => drive(axes, *command == DRIVE_BY),
-            // the library does not know the work coordinates in which it turns
+            // the work coordinates of the rotation are unknown to the library
             Way::Rotate { .. } => Target::UNKNOWN.with_loop(),
         }
     }
@@ -365,7 +365,7 @@ impl Move {
 const DRIVE_BY: &str = "DriveEx";
 const DRIVE_TO: &str = "DriveAEx";
 
-/// Returns where axes end that are turned by a distance, or to a value.
+/// Returns the end of a motion of axes by a distance, or to a value.
 fn drive(axes: &[(u8, f64)], by: bool) -> Target {
     let mut joints = [None; 8];
     for (axis, value) in axes {

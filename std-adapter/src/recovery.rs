@@ -1,4 +1,4 @@
-//! What was done for a robot after a lost session.
+//! The recovery of a robot after a lost session.
 
 use std::fmt;
 
@@ -12,18 +12,18 @@ pub struct Recovery {
     pub halted: Option<bool>,
     /// Whether the motor was switched off; `None` if another client uses the robot, or the lost session had not switched it on.
     pub motor_off: Option<bool>,
-    /// Whether the arm was seen to be free. Otherwise another client owns it, or the controller has not noticed yet that the
-    /// connection was lost.
+    /// Whether the arm was found free. Otherwise another client owns it, or the controller has not yet detected the lost
+    /// connection.
     pub arm_free: bool,
 }
 
 impl Recovery {
-    /// Returns whether all effects of the lost session were seen to end.
+    /// Returns whether all effects of the lost session are verified to have ended.
     pub(crate) fn is_complete(&self) -> bool {
         self.halted != Some(false) && self.motor_off != Some(false) && self.arm_free
     }
 
-    /// Adds what a further attempt has done.
+    /// Adds the results of a further attempt.
     pub(crate) fn add(&mut self, reclaimed: Reclaimed) {
         let either =
             |before: Option<bool>, now: Option<bool>| if before == Some(true) { before } else { now.or(before) };

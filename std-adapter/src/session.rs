@@ -63,7 +63,7 @@ pub(crate) struct Session<X> {
     robot_name: Option<String>,
     objects: Objects,
     arm: ArmState,
-    /// How often the arm was taken.
+    /// The number of times that the arm was taken.
     takes: u64,
     /// Whether the end of the session leaves the arm as it is.
     keep: bool,
@@ -78,7 +78,8 @@ struct Objects {
     robot: Option<RobotHandle>,
     /// The handles of variables, by their owner and by name.
     variables: HashMap<(Object, i32), HashMap<String, VariableHandle>>,
-    /// The handles of the controller's variables by their paths, which repeated reads use. Cleared whenever a handle is forgotten.
+    /// The handles of the controller's variables by their paths, which repeated reads use. Cleared whenever a handle is
+    /// dropped.
     paths: Paths,
     /// The handles of other objects, by the handle of their owner and by name.
     others: HashMap<(Object, i32, String), i32>,
@@ -127,7 +128,7 @@ pub(crate) const SESSION: &str = "the session";
 pub(crate) const CONTROLLER: &str = "the controller";
 /// The object that errors name for a robot.
 pub(crate) const ROBOT: &str = "the robot";
-/// How long a call at the end of a session may take.
+/// The time limit of a call at the end of a session.
 const CLOSE: Duration = Duration::from_secs(1);
 
 impl<X: Transport<Error = io::Error>> Session<X> {
@@ -225,7 +226,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     fn observe_failure(&mut self, error: &CallError) {
         let timing = self.connection.client().timing();
         let waited = timing.attempt_timeout.saturating_mul(timing.attempts.into()).min(timing.deadline);
-        // how long the link has been silent at most, or at least if the operating system has given it up
+        // the silence of the link: an upper bound, or a lower bound if the operating system abandoned the connection
         let waited = match error {
             CallError::Client(ClientError::Timeout(_)) => waited,
             CallError::Io(error) if error.kind() == io::ErrorKind::TimedOut => UNNOTICED,
@@ -246,20 +247,20 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Error::NotConnected { reason: error.to_string() }
     }
 
-    /// Gives the connection up, because the controller does not answer over it or has ended its session.
+    /// Abandons the connection, because the controller does not answer over it or has ended its session.
     #[cfg(feature = "tokio")]
     pub(crate) fn abandon(&mut self) {
         self.link.lost.get_or_insert_with(|| "the controller did not answer, or has ended the session".to_owned());
     }
 
-    /// Finds out whether the controller has ended this session, if a call was refused as if it had. Over UDP it may without a word, as
-    /// when it evicts a peer or starts again; then the session counts as lost.
+    /// Checks whether the controller has ended this session, after a refusal that suggests it. Over UDP a controller can end a
+    /// session without notice, such as when it evicts a peer or restarts; then the session counts as lost.
     #[cfg(feature = "tokio")]
     pub(crate) async fn verify(&mut self) {
         if !self.link.is_doubtful || !self.outlasts_its_link() || self.link.lost.is_some() {
             return;
         }
-        // Slave Mode allows it, and with another answer the session exists
+        // Slave Mode allows this call; any other answer shows that the session exists
         match self.open(Object::Controller, self.handle.0, PathStep::variable("@ERROR_CODE")).await {
             Ok(handle) => drop(self.release_object(Object::Variable, handle).await),
             Err(error) if error.ends_session() && error.code().is_some() => {
@@ -271,7 +272,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.link.is_doubtful = false;
     }
 
-    /// Returns why the connection can no longer be used, if so, as the error of a call that is not sent.
+    /// Returns the error of a call that is not sent, if the connection can no longer be used.
     pub(crate) fn lost(&self) -> Option<Error> {
         self.link.lost.clone().map(|reason| Error::NotConnected { reason })
     }
@@ -388,7 +389,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.object_of((Object::Controller, self.handle.0), PathStep { object, name: Some(name) }).await
     }
 
-    /// Returns the handle of an object of another one, and opens it when it is first used.
+    /// Returns the handle of an object with this owner, and opens it when it is first used.
     async fn object_of(&mut self, owner: (Object, i32), step: PathStep<'_>) -> Result<i32, Error> {
         let key = (step.object, owner.1, step.name.unwrap_or_default().to_owned());
         if let Some(known) = self.objects.others.get(&key) {
@@ -452,7 +453,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(handle)
     }
 
-    /// Fails if the arm is taken here. One that was given back without an answer is given back first.
+    /// Fails if this session has taken the arm. An arm whose GiveArm had no answer is given back first.
     pub(crate) async fn expect_no_arm(&mut self) -> Result<(), Error> {
         if self.arm.unanswered {
             self.end_arm().await?;
@@ -488,7 +489,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         ended.is_ok() && !self.keep
     }
 
-    /// Switches the motor on or off, and waits until it is.
+    /// Switches the motor on or off, and waits for completion.
     pub(crate) async fn motor(&mut self, on: bool) -> Result<(), Error> {
         let before = self.arm;
         self.arm.begin(ArmEffect::Motor(on));
@@ -550,7 +551,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(Some((motion.start(), target)))
     }
 
-    /// Halts a motion that was left behind, before another one starts from rest.
+    /// Halts a motion left over from an earlier call, before a new motion starts from rest.
     pub(crate) async fn clear_way(&mut self) -> Result<(), Error> {
         if self.is_moving() { self.halt().await.map(drop) } else { Ok(()) }
     }
@@ -575,7 +576,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(engine.stats().clone())
     }
 
-    /// Returns whether a motion may be under way.
+    /// Returns whether a motion may be in progress.
     pub(crate) fn is_moving(&self) -> bool {
         self.arm.moving
     }
@@ -584,7 +585,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.arm.moving = moving && self.arm.taken;
     }
 
-    /// Records where a new motion ends. With several motions it is unknown for which of them the robot heads.
+    /// Records where a new motion ends. With several motions it is unknown which of them the robot executes.
     fn set_destination(&mut self, is_first: bool, target: Option<Target>) {
         self.arm.destination = match target {
             Some(target) => Some(target).filter(|_| is_first),
@@ -592,8 +593,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         };
     }
 
-    /// Halts the robot by one call; [`halt_and_verify`](Self::halt_and_verify) waits until it rests. The call is repeated while the
-    /// controller executes one that was given up.
+    /// Halts the robot by one call; [`halt_and_verify`](Self::halt_and_verify) waits until it rests. The call is repeated while
+    /// the controller still executes an abandoned call.
     pub(crate) async fn halt(&mut self) -> Result<Halted, Error> {
         let robot = self.robot().await?;
         let until = self.busy_limit();
@@ -632,7 +633,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
         let timing = self.closing();
         let mut released = Ok(());
-        // each is removed after its call, so that a runtime that ends meanwhile leaves the others to be released
+        // each is removed after its call, so that the others can still be released if the runtime ends in between
         while let (Ok(()), Some(&(object, handle))) = (&released, self.objects.opened.last()) {
             match self.connection.call_with(Release { object, handle }, timing).await {
                 // an object that cannot be released does not exist

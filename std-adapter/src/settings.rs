@@ -8,7 +8,7 @@ use bcap_core::procedure::Provider;
 
 use crate::connect::Options;
 
-/// The model of a controller, which decides its provider.
+/// The model of a controller, which determines its provider.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Model {
@@ -37,7 +37,7 @@ impl Model {
 pub struct ServiceOptions {
     /// The interval of the controller's keep-alives while a call runs, 80 ms or more.
     pub watchdog: Duration,
-    /// How long a call may run, 80 ms or more.
+    /// The maximum run time of a call, 80 ms or more.
     pub invoke_timeout: Duration,
 }
 
@@ -60,7 +60,7 @@ impl ServiceOptions {
         Self { watchdog: watchdog.max(MIN), ..self }
     }
 
-    /// Sets how long a call may run; less than 80 ms becomes 80 ms.
+    /// Sets the maximum run time of a call; less than 80 ms becomes 80 ms.
     #[must_use]
     pub fn invoke_timeout(self, invoke_timeout: Duration) -> Self {
         Self { invoke_timeout: invoke_timeout.max(MIN), ..self }
@@ -72,8 +72,8 @@ impl ServiceOptions {
         format!("WDT={},InvokeTimeout={}", watchdog.max(MIN).as_millis(), invoke_timeout.max(MIN).as_millis())
     }
 
-    /// Returns the client's time limits that go with these options: a call is given up after four missing keep-alives,
-    /// but not before the time limits of `timing`.
+    /// Returns the client's time limits that match these options: a call is abandoned after four missing keep-alives, but not
+    /// before the time limits of `timing`.
     pub(crate) fn timing(self, timing: Timing) -> Timing {
         // a second more than the controller, so that its own error arrives
         let limit = self.invoke_timeout.saturating_add(Duration::from_secs(1));
@@ -127,7 +127,7 @@ impl Default for Backoff {
 pub struct Settings {
     /// The model.
     pub model: Model,
-    /// The name of the robot; `None` is the first one that the controller lists.
+    /// The name of the robot; `None` is the first robot that the controller lists.
     pub robot: Option<String>,
     /// The option of Controller_Connect.
     pub connect_option: String,
@@ -137,9 +137,9 @@ pub struct Settings {
     pub options: Options,
     /// How a controller for tokio connects again. Blocking ones do not.
     pub reconnect: Backoff,
-    /// Whether the end of the program, or of the connection, leaves the robot as it is: a motion under way is not halted, the
-    /// motor stays on, and the controller alone decides when the arm is free. The default is `false`: the robot is halted,
-    /// the motor that was switched on is switched off, and the arm is given back.
+    /// Whether the end of the program, or of the connection, leaves the robot as it is: a motion in progress is not halted, the
+    /// motor stays on, and only the controller determines when the arm becomes free. The default is `false`: the robot is
+    /// halted, the motor that was switched on is switched off, and the arm is given back.
     pub keep: bool,
 }
 
@@ -181,7 +181,7 @@ impl Settings {
         Self { keep, ..self }
     }
 
-    /// Returns how the socket connects, with the time limits that go with the options of Service_Start.
+    /// Returns the options of the socket, with the time limits that match the options of Service_Start.
     pub(crate) fn socket_options(&self) -> Options {
         let mut options = self.options;
         options.tcp.timing = self.service.timing(options.tcp.timing);

@@ -17,15 +17,15 @@ pub enum TaskStart {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum TaskStop {
-    /// As the controller decides (0).
+    /// The controller chooses (0).
     Default,
-    /// At once (1).
+    /// Immediately (1).
     Now,
-    /// After the present step (2).
+    /// After the current step (2).
     AfterStep,
-    /// After the present cycle (3).
+    /// After the current cycle (3).
     AfterCycle,
-    /// At once, and it begins anew when it is started again (4).
+    /// Immediately; the next start is from the beginning (4).
     Initialize,
 }
 

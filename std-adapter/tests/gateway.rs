@@ -454,7 +454,7 @@ async fn a_running_request_is_answered_before_the_end() {
         assert_eq!(idle.ask("GET:RC8:1:I:\r").await, "0,3,0\r");
         plc.send("GET:RC8:99:I:\r").await;
         let stopping = tokio::spawn(gateway.task);
-        // the robot works on it: an idle client notices the end, the other one waits
+        // the robot executes the read: the idle client sees the end, the other client waits
         while robot.robot.lock().unwrap().names.iter().all(|name| name != "I99") {
             tokio::task::yield_now().await;
         }
@@ -516,7 +516,7 @@ async fn clients_of_modbus_share_the_rules_and_the_variables() {
     assert_eq!(client.ask(&[16, 0, 2, 0, 4, 8, 0, 1, 0x11, 0x70, 0xff, 0xff, 0xff, 0xfe]).await, [16, 0, 2, 0, 4]);
     assert_eq!(plc.ask("GET:RC8:1:I:\r").await, "0,3,70000\r");
     assert_eq!(plc.ask("PUT:RC8:95:I:3,9\r").await, "0\r");
-    // two requests at once; the second one waits for the response to the first
+    // two requests at once; the second waits for the response to the first
     client.send(&[3, 0, 4, 0, 2]).await;
     client.send(&[4, 0, 105, 0, 1]).await;
     assert_eq!(client.response().await, [3, 4, 0xff, 0xff, 0xff, 0xfe]);

@@ -16,8 +16,8 @@ use bcap_core::time::Instant;
 
 use crate::served::{Served, frame};
 
-/// A handler that opens any object and accepts any value. For each value it records the thread, and the number of turns of
-/// another task.
+/// A handler that opens any object and accepts any value. For each value it records the thread, and the number of turns of a
+/// second task.
 struct Recorder {
     puts: Vec<Put>,
     /// The turns of a task that only counts.

@@ -25,7 +25,7 @@ impl fmt::Display for Difference<String, &Entry> {
     }
 }
 
-/// Writes the sizes of a file, or which of the backups has it.
+/// Writes the sizes of a file, or names the backup that has it.
 impl fmt::Display for Difference<&String, &Vec<u8>> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "file:{}: ", self.name)?;
@@ -37,7 +37,7 @@ impl fmt::Display for Difference<&String, &Vec<u8>> {
     }
 }
 
-/// System variables that count time, and differ always.
+/// System variables that count time, and always differ.
 const CLOCKS: [&str; 4] = ["@TIME", "@CURRENT_TIME", "@ELAPSED_TIME", "@CYCLE_TIME"];
 
 /// Returns the entries that differ, in the order of their names.
@@ -70,8 +70,8 @@ pub fn files<'a>(a: &'a Contents, b: &'a Contents) -> Vec<Difference<&'a String,
     files
 }
 
-/// Returns the parts that were not compared because a side lacks them, each with whether that is the first side; with `system` also
-/// the system variables.
+/// Returns the parts that were not compared because one side lacks them, each with a flag for the first side; with `system`,
+/// the system variables too.
 pub fn omitted<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> impl Iterator<Item = (bool, &'a Omission)> {
     let parts = [(true, a), (false, b)]
         .into_iter()
@@ -79,7 +79,7 @@ pub fn omitted<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> impl Itera
     parts.filter(move |(_, omission)| system || omission.part != Part::System)
 }
 
-/// Returns whether a difference is known: what only one side has may be omitted from the other.
+/// Returns whether a difference is certain: an entry of only one side may be omitted from the other.
 fn is_certain<N, T>(
     difference: &Difference<N, T>,
     a: &Contents,

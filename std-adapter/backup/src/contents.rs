@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use bcap_capture::value::named::Entry;
 
-/// Which controller a backup is of; a text that the controller refuses is empty.
+/// The controller of a backup; a text that the controller refuses is empty.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct About {
@@ -21,8 +21,8 @@ pub struct About {
 }
 
 impl About {
-    /// Returns whether both are of the same controller, whose software may have been updated. Without a serial number that
-    /// is not known.
+    /// Returns whether both are of the same controller, whose software may have been updated. Without a serial number that is
+    /// unknown.
     pub fn is_same_controller(&self, other: &Self) -> bool {
         !self.serial.is_empty() && (&self.kind, &self.serial) == (&other.kind, &other.serial)
     }
@@ -139,7 +139,7 @@ pub struct Contents {
 }
 
 impl Contents {
-    /// Returns whether a part is omitted that `is_meant` selects.
+    /// Returns whether a part that `is_meant` selects is omitted.
     pub fn omits(&self, is_meant: impl Fn(&Part) -> bool) -> bool {
         self.omitted.iter().any(|omission| is_meant(&omission.part))
     }

@@ -1,11 +1,11 @@
 //! Reads a controller.
 //!
-//! [`CheckedCalls`] asks whether a stream of Slave Mode runs before each call that Slave Mode does not allow.
+//! Before each call that Slave Mode does not allow, [`CheckedCalls`] checks whether a stream of Slave Mode runs.
 //!
-//! The variables of a kind are read through one handle of `I*`, whose PutID chooses the variable: on a controller without
-//! Slave Mode, two calls for each instead of three. A controller may accept PutID and ignore it. So the handle is used only
-//! after two ids have returned different values that agree with those by name. Until then, and after a disagreement, every
-//! variable is opened by name.
+//! The variables of a kind are read through one handle of `I*`, whose PutID selects the variable. On a controller without Slave
+//! Mode this takes two calls for each variable instead of three. A controller may accept PutID and ignore it. So the handle is
+//! used only after two IDs have returned different values that agree with the values by name. Until then, and after a
+//! disagreement, every variable is opened by name.
 
 use std::collections::BTreeSet;
 use std::iter::once;
@@ -27,7 +27,7 @@ use bcap_live::variables::{self as selection, get_one, list, read, short_type};
 
 use crate::contents::{About, Contents, Omission, Part, UserVariable};
 
-/// The usual system variables, for a controller that does not list its own, or not over UDP.
+/// The usual system variables, for a controller that does not list its system variables, or not over UDP.
 const CONTROLLER: &str = "\
     @MODE @LOCK @TIME @CURRENT_TIME @BUSY_STATUS @TSR_BUSY_STATUS @NORMAL_STATUS @ERROR_CODE @ERROR_CODE_HEX \
     @ERROR_DESCRIPTION @EMERGENCY_STOP @DEADMAN_SW @AUTO_ENABLE @PROTECTIVE_STOP @MAKER_NAME @TYPE @VERSION \
@@ -55,12 +55,12 @@ pub fn about<C: Calls>(session: &mut C) -> Result<About, C::Error> {
     Ok(About { kind: short_type(&text("@TYPE")?), version: text("@VERSION")?, serial: text("@SERIAL_NO")? })
 }
 
-/// How far a dump or a restore is.
+/// The progress of a dump or a restore.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress<'a> {
-    /// The present part: a kind of variables, `@` for system variables, `file`, or `folder` while the files are listed.
+    /// The current part: a kind of variables, `@` for system variables, `file`, or `folder` while the files are listed.
     pub part: &'a str,
-    /// How many of this part are done.
+    /// The number of completed items of this part.
     pub done: usize,
     /// How many there are.
     pub count: usize,
@@ -151,7 +151,7 @@ struct Wildcard {
 /// Whether PutID has an effect.
 #[derive(PartialEq)]
 enum Trust {
-    /// All ids have returned this value so far, as a handle that ignores PutID does. `None` before the first.
+    /// All IDs until now have returned this value, as with a handle that ignores PutID. `None` before the first ID.
     Unknown(Option<Entry>),
     Works,
     Wrong,
@@ -169,7 +169,7 @@ impl Trust {
 }
 
 impl Wildcard {
-    /// Opens `I*`, if the controller has it and reads samples through it as by their names.
+    /// Opens `I*`, if the controller has it and samples have the same values through it as by name.
     fn open<C: Calls>(session: &mut C, kind: VariableKind, indices: &Range<u32>) -> Result<Option<Self>, C::Error> {
         if indices.is_empty() {
             return Ok(None);
@@ -200,7 +200,7 @@ impl Wildcard {
         Ok(())
     }
 
-    /// Reads a variable, by name as long as it is unknown whether PutID has an effect.
+    /// Reads a variable. Reads it by name while it is unknown whether PutID has an effect.
     fn read<C: Calls>(&mut self, session: &mut C, index: u32) -> Result<Entry, C::Error> {
         if self.trust == Trust::Works {
             return entry(by_id(session, self.kind, self.handle, index));
@@ -217,8 +217,8 @@ impl Wildcard {
     }
 }
 
-/// Returns the indices that are read in both ways: the last, the first, and at least eight if there are as many. Their
-/// distance is odd, so that values that alternate differ in the samples too.
+/// Returns the indices that are read both ways: the last, the first, and at least eight if there are as many. Their distance is
+/// odd, so that values that alternate differ in the samples too.
 fn samples(indices: &Range<u32>) -> impl Iterator<Item = u32> + use<> {
     let last = indices.end.saturating_sub(1);
     let distance = (indices.len() / 16).min(64) | 1;
@@ -336,7 +336,7 @@ pub fn files<C: Calls>(
     for item in items {
         if item.is_unsafe {
             let failure: C::Error = remote_files::unsafe_names(std::slice::from_ref(&item));
-            // with `/` at its beginning it is not the path of another file
+            // with a leading `/` it cannot be the path of another file
             omit(failure, Part::Files(format!("/{}", item.path)), omitted)?;
         } else {
             files.push(item.path);
@@ -365,7 +365,7 @@ fn unless_omitted<T, F: Failure>(
     }
 }
 
-/// Adds a part to the list of omissions; returns the failure if the session cannot go on after it.
+/// Adds a part to the list of omissions; returns the failure if the session cannot continue after it.
 fn omit<F: Failure>(failure: F, part: Part, omitted: &mut Vec<Omission>) -> Result<(), F> {
     let Some(reason) = failure.omission() else { return Err(failure) };
     omitted.push(Omission { part, reason });

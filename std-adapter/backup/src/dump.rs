@@ -11,8 +11,8 @@ use crate::controller::{self, Progress};
 use crate::error::Error;
 use crate::folder::Folder;
 
-/// Saves all variables and files, from the first one that an interrupted dump did not save. `watch` gets the progress before each
-/// item, object and folder; its error ends the dump, which goes on later.
+/// Saves all variables and files, or after an interrupted dump the rest of them. `watch` gets the progress before each item,
+/// object and folder. Its error ends the dump; a later call continues it.
 ///
 /// # Errors
 ///
@@ -45,7 +45,7 @@ impl<C: Calls, W: FnMut(Progress<'_>) -> Result<(), C::Error>> Dumping<'_, C, W>
 where
     C::Error: From<Error>,
 {
-    /// Saves the variables of a kind, from the first one that an earlier dump did not save.
+    /// Saves the variables of a kind, from the first variable that an earlier dump did not save.
     fn kind(&mut self, kind: VariableKind, omitted: &mut Vec<Omission>) -> Result<(), C::Error> {
         let Some(count) = controller::count(self.session, kind, omitted)? else { return Ok(()) };
         let Some((mut part, done)) = self.folder.partial_file(kind)? else { return Ok(()) };

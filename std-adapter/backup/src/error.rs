@@ -13,7 +13,7 @@ pub enum Error {
     /// A file or a folder cannot be read or written, or its content is invalid.
     #[error("{0}")]
     Invalid(String),
-    /// The controller does not fit the backup, so nothing is written to it.
+    /// The controller does not match the backup, so nothing is written to it.
     #[error("{0}")]
     Unfit(String),
     /// The backup is of another controller, or a serial number is unknown, so nothing is written.

@@ -9,8 +9,8 @@
 //!      replaced/            the files that `bcap restore` has replaced
 //! ```
 //!
-//! A file appears under its name when it is complete. While a kind is read its lines are in `I.jsonl.part`, where the next
-//! dump goes on.
+//! A file appears under its name when it is complete. While a kind is being read, its lines are in `I.jsonl.part`, where the
+//! next dump continues.
 
 use std::collections::BTreeMap;
 use std::fs::{self, DirEntry, File, OpenOptions};
@@ -65,7 +65,7 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Makes the folder, or opens the one of an interrupted dump of the same controller.
+    /// Creates the folder, or opens the folder of an interrupted dump of the same controller.
     pub fn begin(path: &Path, about: About) -> Result<Self, Error> {
         let wrong = |what: &str| Err(Error::at(path, format!("{what}; choose another folder")));
         let is_resumed = match read_manifest(path)? {
@@ -125,7 +125,7 @@ impl Folder {
         Ok(contents)
     }
 
-    /// Writes a file in one step. The temporary file is not below `files`, where it would become a part of the backup.
+    /// Writes a file in one step. The temporary file is outside `files`, where it would become a part of the backup.
     fn write(&self, path: &Path, bytes: &[u8]) -> Result<(), Error> {
         local_files::write_by(&self.path, path, bytes, true)
     }
@@ -150,7 +150,7 @@ impl Folder {
     }
 }
 
-/// Returns whether a folder does not exist, or contains only files that a dump leaves when it is killed at its start.
+/// Returns whether a folder does not exist, or contains only files of a dump that was killed at its start.
 fn is_empty(path: &Path) -> Result<bool, Error> {
     if !path.exists() {
         return Ok(true);

@@ -7,8 +7,8 @@
 //!  {"end":"complete"}
 //! ```
 //!
-//! A line is in the file before the next call is made, so it survives the end of the process. `writing` without `written`
-//! means that the controller may have the old value or the new one.
+//! A line is in the file before the next call is made, so it survives a crash of the process. `writing` without `written` means
+//! that the controller may have the old value or the new one.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
@@ -31,7 +31,7 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Begins a new restore after those that the journal already has.
+    /// Begins a new restore after the restores in the journal.
     pub fn begin(folder: &Path, robot: &str, planned: &[String]) -> Result<Self, Error> {
         let path = folder.join(NAME);
         let file = OpenOptions::new().create(true).append(true).open(&path).map_err(failed(&path))?;
@@ -46,7 +46,7 @@ impl Journal {
         Ok(journal)
     }
 
-    /// Records that a write is sent next; `was` and `value` are JSON.
+    /// Records that a write is about to be sent; `was` and `value` are JSON.
     pub fn writing(&mut self, name: &str, was: &str, value: &str) -> Result<(), Error> {
         let name = serde_json::Value::from(name);
         self.push(&format!("{{\"writing\":{name},\"was\":{was},\"value\":{value}}}"))
@@ -64,7 +64,7 @@ impl Journal {
     }
 
     fn push(&mut self, line: &str) -> Result<(), Error> {
-        // one call, so that a line is written whole
+        // one call, so that a line is never written partly
         self.file.write_all(format!("{line}\n").as_bytes()).map_err(failed(&self.path))
     }
 
@@ -78,7 +78,7 @@ impl Journal {
     }
 }
 
-/// A restore as its journal tells it.
+/// A restore as recorded in its journal.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Past {
     /// The address of the controller.
@@ -113,7 +113,7 @@ struct Writing {
 }
 
 impl Past {
-    /// Reads the last restore of a folder; `None` if there was none.
+    /// Reads the last restore of a folder; `None` without a restore.
     pub fn read(folder: &Path) -> Result<Option<Self>, Error> {
         let path = folder.join(NAME);
         if !path.exists() {

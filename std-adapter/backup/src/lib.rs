@@ -3,13 +3,13 @@
 //! | module          | contents                                                                  |
 //! |-----------------|---------------------------------------------------------------------------|
 //! | [`contents`]    | the variables and files of a controller, in memory                        |
-//! | [`folder`]      | a backup in a folder, also one that is being written                      |
+//! | [`folder`]      | a backup in a folder, complete or being written                           |
 //! | [`controller`]  | reads a controller                                                        |
 //! | [`dump`]        | saves a controller in a folder                                            |
 //! | [`restore`]     | plans and writes a backup                                                 |
 //! | [`compare`]     | the differences of two backups                                            |
 //! | [`plan`]        | the writes of a restore, if all of them can be made                       |
-//! | [`journal`]     | the writes of a restore so far, which survive the end of the process      |
+//! | [`journal`]     | the completed writes of a restore, which survive a crash of the process   |
 //! | [`replaced`]    | the files of the controller that a restore replaces                       |
 //! | [`local_files`] | files of this machine that are never visible half written                 |
 //!

@@ -11,8 +11,8 @@ use crate::error::{Error, failed};
 /// How the names of temporary files begin. A command that is killed leaves one.
 pub(crate) const TEMPORARY: &str = ".bcap-";
 
-/// Writes a file in one step, with the folders above it; refuses to replace a file unless `replace`. A replaced file keeps its
-/// permissions and the links to it. A device or a FIFO is not replaced, but written.
+/// Writes a file in one step, and creates its parent folders; refuses to replace a file unless `replace`. A replaced file keeps
+/// its permissions and the links to it. A device or a FIFO is not replaced, but written.
 pub fn write(path: &Path, bytes: &[u8], replace: bool) -> Result<(), Error> {
     match path.canonicalize() {
         Ok(path) if replace && path.is_file() => write_by(folder_of(&path), &path, bytes, replace),
@@ -40,7 +40,7 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Gives a file the permissions of the replaced one, or ordinary ones; temporary files are readable only by their owner.
+/// Gives a file the permissions of the replaced file, or default permissions; temporary files are readable only by their owner.
 #[cfg(unix)]
 fn set_permissions(file: &fs::File, replaced: Option<fs::Permissions>) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt as _;

@@ -52,15 +52,16 @@ pub struct Plan {
     pub variables: Vec<Change>,
     /// The files, which are written after the variables.
     pub files: Vec<FileChange>,
-    /// How many IO differ and stay, because they switch outputs and [`Options::io`](crate::restore::Options::io) is not set.
+    /// The number of IO variables that differ and stay unchanged, because they switch outputs and
+    /// [`Options::io`](crate::restore::Options::io) is not set.
     pub unwritten_io: usize,
     /// The other parts that stay unchanged, with the reason.
     pub notes: Vec<String>,
 }
 
 impl Plan {
-    /// Compares the backup with the controller. A difference that cannot be written is an error, so that a restore is not
-    /// partial by plan.
+    /// Compares the backup with the controller. A difference that cannot be written is an error, so that a plan is never
+    /// partial.
     pub fn new(backup: &Contents, controller: &Contents, io: bool) -> Result<Self, Error> {
         check_known(backup, controller)?;
         let mut plan = Self { variables: Vec::new(), files: Vec::new(), unwritten_io: 0, notes: Vec::new() };
@@ -127,7 +128,7 @@ impl Plan {
         self.variables.is_empty() && self.files.is_empty()
     }
 
-    /// Returns the names of all writes, in their order, as the journal has them.
+    /// Returns the names of all writes, in order, as in the journal.
     pub fn names(&self) -> Vec<String> {
         let files = self.files.iter().map(|file| format!("file:{}", file.path));
         self.variables.iter().map(|change| change.name.clone()).chain(files).collect()
@@ -161,8 +162,8 @@ impl Plan {
     }
 }
 
-/// Refuses a controller if it does not tell something that the backup records: a file that could not be read would be
-/// overwritten as a new one.
+/// Refuses a controller if a part of the backup cannot be read from it: a file that could not be read would be overwritten as a
+/// new file.
 fn check_known(backup: &Contents, controller: &Contents) -> Result<(), Error> {
     let is_needed = |part: &Part| match part {
         Part::Variables(_) => backup.variables.keys().any(|variable| part.has_variable(*variable)),

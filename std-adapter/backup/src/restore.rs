@@ -5,7 +5,7 @@
 //!                             read, is it still as planned? ─► journal ─► write ─► read back ─► journal
 //! ```
 //!
-//! A file is checked in the same way, and the one that it replaces is saved in the folder before the write.
+//! A file is checked in the same way, and the replaced file is saved in the folder before the write.
 
 use bcap_capture::value::named::Entry;
 use bcap_capture::value::to_json;
@@ -25,7 +25,7 @@ use crate::journal::Journal;
 use crate::plan::{Change, FileChange, Plan};
 use crate::replaced::Replaced;
 
-/// Differences that a restore may have.
+/// Permitted differences of a restore.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Options {
     /// Writes IO variables too, which switches the outputs of the controller.
@@ -56,7 +56,7 @@ where
     Ok(Plan::new(backup, &controller, options.io)?)
 }
 
-/// Returns why the controller may change now, as far as it tells: `None` if it is at rest and has no error.
+/// Returns the reason why the controller may change now, if it reports one: `None` if it is at rest and has no error.
 fn obstacle<C: Calls>(session: &mut C) -> Result<Option<String>, C::Error> {
     for (name, fitting, wrong) in [
         ("@BUSY_STATUS", Value::new(&false)?, "the controller is busy: stop its tasks and the robot first"),

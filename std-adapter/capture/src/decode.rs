@@ -40,7 +40,8 @@ use crate::error::Error;
 
 /// Reads a file, pcap or pcapng, and returns its connections and calls by the time of their first packet.
 ///
-/// A file that ends inside a packet still has the calls before it, so the result of reading is next to them.
+/// A file that ends inside a packet still has the calls before it, so the calls and the result of reading are returned
+/// separately.
 ///
 /// # Examples
 ///
@@ -59,7 +60,7 @@ pub fn events(path: &Path, strictness: Strictness) -> (Vec<Event>, Result<(), Er
     let read = file::read(path, |packet| conversations.packet(packet));
     conversations.end();
     let mut events = conversations.take_events();
-    // calls are shown at the time of their requests, but known only with their replies
+    // calls are listed by the time of their requests, but are complete only with their replies
     events.sort_by_key(Event::at);
     (events, read)
 }

@@ -37,7 +37,7 @@ pub enum Error {
     /// A capture that cannot be replayed, or that has calls which are not allowed.
     #[error("{0}")]
     Replay(String),
-    /// A replay has ended, and perhaps left effects on the robot.
+    /// A replay has ended, and may have left effects on the robot.
     #[error("IT IS UNKNOWN whether the robot rests, its motor is off and the arm is free: {0}")]
     NotEnded(String),
     /// The operating system refused a thread or a socket.

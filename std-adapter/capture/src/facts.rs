@@ -1,4 +1,4 @@
-//! What is known about a result code.
+//! The known facts about a result code.
 
 use bcap_core::hresult::HResult;
 

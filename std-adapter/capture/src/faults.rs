@@ -1,4 +1,4 @@
-//! The faults that a proxy injects: which frames, and what happens to them.
+//! The faults that a proxy injects: which frames are affected, and how.
 
 use std::collections::{HashMap, VecDeque};
 use std::str::FromStr;
@@ -86,7 +86,7 @@ pub struct Verdict {
     pub note: String,
 }
 
-/// The faults of one connection: decides for each frame, and remembers which call a reply belongs to.
+/// The faults of one connection: chooses them for each frame, and stores which call a reply belongs to.
 #[derive(Debug)]
 pub struct Faults {
     plan: FaultPlan,
@@ -104,9 +104,9 @@ impl Faults {
         Self { plan, random, is_rac, calls: HashMap::new(), lines: VecDeque::new() }
     }
 
-    /// Returns the length of the first whole frame or line; `None` if more bytes are needed.
+    /// Returns the length of the first complete frame or line; `None` if more bytes are needed.
     ///
-    /// Bytes that are not a frame are taken together, so that they pass too.
+    /// Bytes that are not a frame count as one unit, so that they pass too.
     #[must_use]
     pub fn first(&self, bytes: &[u8]) -> Option<usize> {
         if self.is_rac {
@@ -119,7 +119,7 @@ impl Faults {
         }
     }
 
-    /// Decides what happens to a frame or a line.
+    /// Chooses the faults of a frame or a line.
     pub fn judge(&mut self, sender: Role, frame: &[u8]) -> Verdict {
         let name = if self.is_rac { self.line(sender, frame) } else { self.frame(sender, frame) };
         let Self { plan, random, .. } = self;
@@ -136,7 +136,7 @@ impl Faults {
         let is_corrupt = plan.corrupt.iter().any(&mut hit);
         let flipped = (is_corrupt && !frame.is_empty()).then(|| (random.usize(..frame.len()), random.u8(..8)));
         if self.is_rac && is_dropped && sender == Role::Request {
-            // its reply will not come
+            // its reply will not arrive
             self.lines.pop_back();
         }
         let mut verdict = Verdict { is_dropped, delay, flipped, note: String::new() };

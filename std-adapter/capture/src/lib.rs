@@ -4,7 +4,7 @@
 //! |---------------|---------------------------------------------------------------------------------|
 //! | [`decode`]    | the calls in a pcap or pcapng file, as text, JSON, CSV or statistics             |
 //! | [`record`]    | records the bytes of connections as packets in a pcapng file                     |
-//! | [`replay`]    | makes the calls of a capture again, and compares the replies                     |
+//! | [`replay`]    | replays the calls of a capture, and compares the replies                         |
 //! | [`playback`]  | a server that answers as the server of a capture did                             |
 //! | [`proxy`]     | forwards to a robot, records, and injects [`faults`]                             |
 //! | [`trace`]     | shows each packet of a client's transport as text                                |
@@ -14,8 +14,8 @@
 //! | [`mcap`]      | time series as files for Foxglove and PlotJuggler                                |
 //! | [`wireshark`] | the dissector for Wireshark, one Lua file                                        |
 //!
-//! The library prints nothing and knows no command line. Names and values of its texts come from a peer: escape them before
-//! they are printed on a terminal.
+//! The library prints nothing and has no command line. Names and values of its texts come from a peer: escape them before they
+//! are printed on a terminal.
 //!
 //! # Examples
 //!

@@ -12,7 +12,7 @@ pub struct LogEntry {
     pub time: String,
     /// The controller's counter of milliseconds.
     pub tick: i32,
-    /// Whether it is of the log of errors.
+    /// Whether it is in the error log.
     pub is_error: bool,
     /// The result code; 0 for an operation without one.
     pub code: i32,
@@ -27,7 +27,7 @@ pub struct LogEntry {
 }
 
 impl LogEntry {
-    /// Reads an entry; `None` if its layout is not the one of the guide.
+    /// Reads an entry; `None` if its layout differs from the guide.
     #[must_use]
     pub fn parse(is_error: bool, entry: Variant<'_>) -> Option<Self> {
         let elements: Vec<Variant<'_>> = entry.as_array()?.iter().collect();

@@ -21,7 +21,7 @@ use crate::value::data;
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
-/// The longest time of messages that are not in the file yet, in nanoseconds.
+/// The maximum time until a message is written to the file, in nanoseconds.
 const UNWRITTEN: u64 = 1_000_000_000;
 
 /// The size at which a chunk is written, in bytes.
@@ -45,7 +45,7 @@ mod opcode {
 /// The form of the messages of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Schema {
-    /// Its name, which no other schema of the file has.
+    /// Its name, unique within the file.
     pub name: &'static str,
     /// A JSON schema.
     pub json: &'static str,
@@ -116,7 +116,7 @@ pub struct Log<W: Write> {
 #[derive(Debug)]
 struct Channel {
     id: u16,
-    /// The messages so far.
+    /// The number of all its messages.
     messages: u32,
 }
 
@@ -131,7 +131,7 @@ struct Chunk {
 }
 
 impl Log<BufWriter<File>> {
-    /// Creates the file, in place of one that exists.
+    /// Creates the file; an existing file is replaced.
     ///
     /// # Errors
     ///
@@ -187,9 +187,9 @@ impl<W: Write> Log<W> {
         if chunk.records.len() >= CHUNK { self.flush() } else { self.write_older(at) }
     }
 
-    /// Writes the messages so far if the first of them is a second older than `now`, in nanoseconds since 1970.
+    /// Writes the pending messages if the first of them is a second older than `now`, in nanoseconds since 1970.
     ///
-    /// For series whose next message may come much later.
+    /// For series whose next message may be much later.
     ///
     /// # Errors
     ///
@@ -205,7 +205,7 @@ impl<W: Write> Log<W> {
             self.chunk.records.extend(&record);
             self.definitions[kind].extend(record);
         };
-        // 0 is no schema
+        // 0 means that there is no schema
         let next = u16::try_from(self.schemas.len() + 1).map_err(io::Error::other)?;
         let schema = *self.schemas.entry(name).or_insert_with(|| {
             let (id, json) = (next.to_le_bytes(), text(json));
@@ -218,7 +218,7 @@ impl<W: Write> Log<W> {
         Ok(id)
     }
 
-    /// Writes the messages so far.
+    /// Writes the pending messages.
     fn flush(&mut self) -> io::Result<()> {
         let Chunk { records, times, index } = std::mem::take(&mut self.chunk);
         let Some((first, last)) = times else { return Ok(()) };

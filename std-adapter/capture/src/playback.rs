@@ -1,8 +1,8 @@
 //! A server that answers as the server of a capture did.
 //!
-//! Each connection of a client replays the next connection of the capture that has its first request: a capture may begin amid
-//! others. A request gets the reply of the next call of its connection with the same function and arguments; after the last
-//! one the search begins again at the first. Handles are the recorded ones.
+//! Each connection of a client replays the next connection of the capture that contains its first request: a capture may begin
+//! in the middle of a connection. A request gets the reply of the next call of its connection with the same function and
+//! arguments; after the last call the search restarts at the first. Handles are the recorded ones.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -20,7 +20,7 @@ use crate::decode::{self, Call, Event, Reply};
 use crate::error::Error;
 use bcap_core::variant::OwnedVariant as Value;
 
-/// The answered calls of the connections of one protocol, and which peer uses which connection.
+/// The answered calls of the connections of one protocol, and the connection of each peer.
 #[derive(Debug, Default)]
 struct Links {
     calls: Vec<Vec<Call>>,
@@ -44,8 +44,8 @@ impl fmt::Debug for Playback {
 }
 
 impl Playback {
-    /// Reads a capture. `unknown` gets each request that the capture does not have; such a request is refused with E_FAIL.
-    /// It also gets why the end of the file cannot be read, such as that of a recording whose program was killed.
+    /// Reads a capture. `unknown` gets each request that the capture does not have; such a request is refused with E_FAIL. It
+    /// also gets the reason if the end of the file cannot be read, such as after a recording whose program was killed.
     ///
     /// # Errors
     ///
@@ -97,7 +97,7 @@ impl Playback {
 }
 
 impl Links {
-    /// Returns the reply to the next call of a peer that `is_same`.
+    /// Returns the reply to the next call of a peer for which `is_same` returns true.
     fn next(&mut self, peer: PeerId, is_same: impl Fn(&Call) -> bool) -> Option<&Reply> {
         let connections = self.calls.len();
         let (link, at) = self.peers.entry(peer).or_insert_with(|| {

@@ -107,7 +107,8 @@ impl Proxy {
         Self { faults, seed, ..self }
     }
 
-    /// Records the address that a client used as the server's, instead of the robot's: for a robot in this process.
+    /// Records the address that a client connected to as the server's address, instead of the robot's: for a robot in this
+    /// process.
     #[must_use]
     pub fn show_listener(self) -> Self {
         Self { shows_listener: true, ..self }

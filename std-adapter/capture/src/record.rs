@@ -5,8 +5,8 @@
 //!                                                        └► a function of the program, such as the lines of a proxy
 //! ```
 //!
-//! The headers of IP, TCP and UDP are made up: the operating system does not show the headers of connections. Addresses,
-//! ports, times and the order of bytes are true.
+//! The headers of IP, TCP and UDP are synthetic, because the operating system does not expose the headers of connections.
+//! Addresses, ports, times and the order of bytes are real.
 //!
 //! # Examples
 //!
@@ -78,7 +78,7 @@ pub struct Recorder {
     clock: Clock,
 }
 
-/// The time since 1970; it runs on evenly if the clock of the machine is set meanwhile.
+/// The time since 1970. It advances steadily even if the clock of the machine is set during the recording.
 #[derive(Clone, Copy, Debug)]
 struct Clock {
     start: Instant,
@@ -104,7 +104,7 @@ impl Recorder {
         self.clock.now()
     }
 
-    /// Returns how many bytes wait for the file, for a program that ends its recording rather than wait for a slow disk.
+    /// Returns how many bytes wait for the file, for a program that ends its recording instead of waiting for a slow disk.
     #[must_use]
     pub fn queued(&self) -> usize {
         self.budget.used()
@@ -241,7 +241,7 @@ fn run(
             }
             Err(TryRecvError::Disconnected) => QueueEntry::End,
         };
-        // it takes memory until it is written, but never more than one at a time
+        // it uses memory until it is written, but only one entry at a time
         budget.release(entry.size());
         match entry {
             QueueEntry::Opened { at, ends } => tape.open(at, ends)?,

@@ -1,4 +1,4 @@
-//! Makes the calls of a capture again, and compares the replies.
+//! Replays the calls of a capture, and compares the replies.
 //!
 //! ```text
 //!  plan   the capture  -> connections with their calls; the calls that each call waits for; the calls to allow
@@ -96,7 +96,7 @@ impl Plan {
                 Ok(())
             });
             if done.is_err() {
-                // a caller that cannot see the replay must not have the robot moved
+                // the robot must not move while the caller cannot see the replay
                 order.stop();
             }
             done
@@ -109,7 +109,7 @@ impl Plan {
     }
 }
 
-/// How often a replay looks for an interruption.
+/// The interval at which a replay checks for an interruption.
 const LOOK: Duration = Duration::from_millis(20);
 
 /// Waits for the next outcome; `None` at the end of all connections.

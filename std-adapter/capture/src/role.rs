@@ -5,7 +5,7 @@ use std::str::FromStr;
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 
-/// The role of a frame, which decides the meaning of its code. The bytes do not show it.
+/// The role of a frame, which determines the meaning of its code. The bytes do not show it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Role {
     /// A client's request: the code is a function.

@@ -3,7 +3,7 @@
 //! The histograms of a stream have few buckets, so p50, p99 and the maximum of a narrow distribution are equal there. A host has
 //! the memory for 1,024 buckets for each power of two.
 
-/// The longest time that has a bucket, in microseconds.
+/// The maximum time that has a bucket, in microseconds.
 const LONGEST: u32 = 10_000_000;
 
 /// The buckets: 1,024 for each power of two up to [`LONGEST`].
@@ -47,7 +47,7 @@ impl Times {
         self.max
     }
 
-    /// Returns how many times are in `from..=to`, where `from` and `to + 1` are powers of two.
+    /// Returns the number of times in `from..=to`, where `from` and `to + 1` are powers of two.
     #[must_use]
     pub fn count_between(&self, from: u64, to: u64) -> u64 {
         let within = self.histogram.iter().filter(|(upper, _)| (from..=to).contains(&u64::from(*upper)));

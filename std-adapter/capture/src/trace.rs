@@ -1,6 +1,6 @@
 //! Shows the packets of connections as text.
 //!
-//! The transport of a connection is wrapped, so a packet is shown as it was sent and received, also for retries and
+//! The transport of a connection is wrapped, so a packet is shown as it was sent and received, including retries and
 //! keep-alives.
 //!
 //! # Examples
@@ -107,7 +107,7 @@ pub struct Packets {
 struct Last {
     sent: Vec<u8>,
     received: Vec<u8>,
-    /// The first packet that was sent after the last one that was received.
+    /// The first packet that was sent after the last received packet.
     unanswered: Option<std::time::Instant>,
 }
 

@@ -53,7 +53,7 @@ fn constants() -> String {
     )
 }
 
-/// A function for each field of a header, which takes its bytes from those of a frame.
+/// A function for each field of a header, which takes its bytes from the frame.
 fn fields() -> String {
     let fields = [
         ("LENGTH", field::LENGTH),
@@ -107,7 +107,7 @@ fn function_fields(function: FunctionId) -> String {
     out
 }
 
-/// The result codes with names, and the patterns of those without, the narrowest first.
+/// The result codes with names, and the patterns of codes without names, the narrowest first.
 fn results() -> String {
     let mut out = String::from("local RESULTS = {\n");
     for code in HResult::known() {
@@ -123,7 +123,7 @@ fn results() -> String {
     let unnamed = Row::all().filter(|row| !row.meaning.is_empty());
     let mut patterns: Vec<_> =
         unnamed.flat_map(|row| row.patterns().map(move |pattern| (pattern, row.meaning))).collect();
-    // the dissector takes the first one
+    // the dissector uses the first match
     patterns.sort_by_key(|(Pattern { first, last, .. }, _)| last - first);
     for (Pattern { first, last, has_axis, .. }, meaning) in patterns {
         let axis = if has_axis { ", axis = true" } else { "" };

@@ -40,12 +40,12 @@ pub(crate) struct Sent {
     pub(crate) reply: Option<TestFrame>,
 }
 
-/// How often a call or a case is repeated when the device ended its connection without any reply: a small device may have no slot
-/// yet. One in an emulator on a busy machine needs a second or two.
+/// The number of retries of a call or a case when the device ended its connection without any reply: a small device may have no
+/// free slot yet. A device in an emulator on a busy machine needs a second or two.
 pub(crate) const REFUSALS: usize = 5;
 pub(crate) const REFUSAL_PAUSE: Duration = Duration::from_millis(400);
 
-/// How often a device over UDP is asked whether it answers: a network may lose datagrams.
+/// The number of probes of a device over UDP, because a network may lose datagrams.
 const PROBES: usize = 3;
 
 /// The external speed, acceleration and deceleration of cases, in percent.
@@ -61,7 +61,7 @@ pub(crate) struct Bench<'a> {
     pub(crate) last: Option<Sent>,
     /// The values of scratch variables before the case.
     pub(crate) saved: Vec<(String, Value)>,
-    /// The joints that a step of the case has kept.
+    /// The joints that a step of the case has stored.
     pub(crate) here: Option<Value>,
     /// The external speed before the first case that changed it; `None` when it is restored.
     pub(crate) speed: Option<[f64; 3]>,
@@ -73,7 +73,7 @@ pub(crate) struct Bench<'a> {
     pub(crate) task_started: bool,
     /// The codes of the controller with which calls of the case were refused. They are errors of the controller.
     pub(crate) caused: Vec<HResult>,
-    /// Tells whether the run is to end, so that nothing may move any more.
+    /// Returns whether the run is to end, so that nothing may move any more.
     pub(crate) is_interrupted: Option<&'a dyn Fn() -> bool>,
     /// Whether nothing was sent on the connection.
     is_fresh: bool,
@@ -91,7 +91,7 @@ pub(crate) struct Bench<'a> {
     pub(crate) has_line: bool,
     /// Whether any reply has arrived in this case.
     pub(crate) has_reply: bool,
-    /// How often a first call or the case was repeated since the last reply from a device that has a slot.
+    /// The number of repetitions of a first call or the case since the device last had a free slot.
     pub(crate) repeats: usize,
     /// The sent and received frames, one line each.
     pub(crate) log: Vec<String>,
@@ -99,8 +99,8 @@ pub(crate) struct Bench<'a> {
 
 impl<'a> Bench<'a> {
     pub(crate) fn new(options: &'a Options, link: Link) -> Self {
-        // over UDP a stale reply to an earlier client of the same port must not match; 65534, and 1 after 65535, must not look like
-        // late copies of calls before a low serial
+        // over UDP a stale reply to an earlier client of the same port must not match; and 65534, and 1 after 65535, must not
+        // look like late copies of calls, as they would before a low serial
         let serial = if link.repeats() { fastrand::u16(10_000..30_000) } else { 1 };
         let (handles, log) = ([None; Slot::COUNT], Vec::new());
         Self {
@@ -131,13 +131,13 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Returns whether a device over UDP answers a new client. Over TCP the connection tells it.
+    /// Returns whether a device over UDP answers a new client. Over TCP the connection shows it.
     pub(crate) fn answers(options: &'a Options, link: Link) -> bool {
         let answers = |_| {
             let mut bench = Self::new(options, link);
             let (serial, bytes) = bench.request(FunctionId::SERVICE_START, &[Value::text("")]);
             let sent = bench.connect().and_then(|()| bench.send(&bytes, &format!("#{serial} Service_Start")));
-            // also one that answers wrongly
+            // even a device that answers wrongly
             let came = sent.is_ok().then(|| bench.receive());
             bench.close();
             matches!(came, Some(Came::Reply(_) | Came::Invalid(_)))
@@ -219,7 +219,7 @@ impl<'a> Bench<'a> {
             };
             self.speed = Some(speed);
         }
-        // slow, whatever the program of the robot has set before
+        // slow, whatever speed the robot's program has set
         let slow = self.robot_command("ExtSpeed", speed)?;
         if slow.result().is_err() {
             return skip(format!("ExtSpeed: {}", slow.text()));
@@ -228,7 +228,7 @@ impl<'a> Bench<'a> {
         if motor.result().is_err() { skip(format!("Motor on: {}", motor.text())) } else { Ok(()) }
     }
 
-    /// Returns the external speed, acceleration and deceleration; `None` if the controller does not tell them.
+    /// Returns the external speed, acceleration and deceleration; `None` if the controller does not return them.
     fn external_speed(&mut self) -> Result<Option<[f64; 3]>, Stop> {
         let mut speed = [0.0; 3];
         for (place, command) in speed.iter_mut().zip(["CurExtSpd", "CurExtAcc", "CurExtDec"]) {
@@ -264,7 +264,7 @@ impl<'a> Bench<'a> {
         let Some(value) = reply.args.into_iter().next() else {
             return fail(format!("the value of {name}"), "no value");
         };
-        // the same value: a device that allows no writing refuses it
+        // the same value, to detect a device that does not allow writes
         let reply = self.exchange(FunctionId::VARIABLE_PUT_VALUE, vec![variable, value.clone()])?;
         if reply.result() == HResult::E_ACCESSDENIED {
             return skip(format!("{name} cannot be written: {}", reply.result()));
@@ -293,7 +293,8 @@ impl<'a> Bench<'a> {
         if self.link.repeats() {
             let (serial, bytes) = self.request(FunctionId::SERVICE_STOP, &[]);
             let sent = wire.send(&bytes);
-            // the next socket may get this port, and would take the answer for its own; without one the device forgets the peer later
+            // the next socket may get this port, and would mistake the answer for its own; without an answer the device drops
+            // the peer later
             let until = Instant::now() + self.options.quiet;
             let is_other = |came| matches!(came, Came::Reply(reply) if reply.serial != serial);
             while sent.is_ok()
@@ -304,7 +305,7 @@ impl<'a> Bench<'a> {
         wire.close(self.options.quiet);
     }
 
-    /// Starts a session of another client during this one; a device that has no slot for it skips the case.
+    /// Starts a session of another client during this session; a device that has no slot for it skips the case.
     pub(crate) fn another(&self) -> Result<Self, Stop> {
         if self.link == Link::Serial {
             return skip("a serial line has one client");
@@ -349,7 +350,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Receives what arrives within the time limit of a reply.
+    /// Receives bytes within the time limit of a reply.
     pub(crate) fn receive(&mut self) -> Came {
         self.receive_within(self.options.timeout)
     }
@@ -395,8 +396,8 @@ impl<'a> Bench<'a> {
 
     /// Makes a call, and returns its reply whatever its code. The rules of all replies are checked.
     ///
-    /// The first call of a connection is repeated on a new one while the device has no slot: it ends the connection without a reply,
-    /// or answers E_MAX_CONNECT.
+    /// The first call of a connection is repeated on a new connection while the device has no free slot: it ends the connection
+    /// without a reply, or answers E_MAX_CONNECT.
     pub(crate) fn exchange(&mut self, function: FunctionId, args: Vec<Value>) -> Result<TestFrame, Stop> {
         loop {
             let is_first = self.is_fresh;
@@ -410,7 +411,7 @@ impl<'a> Bench<'a> {
                 return outcome;
             }
             if self.repeats == REFUSALS {
-                // repeated enough, so the case does not run again
+                // the retries are exhausted, so the case does not run again
                 (self.refused, self.has_no_slot) = (false, true);
                 return outcome;
             }
@@ -460,7 +461,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Checks what holds for every reply (b-CAP specification, sections 4.1.1 to 4.1.5).
+    /// Checks the rules of every reply (b-CAP specification, sections 4.1.1 to 4.1.5).
     fn check_reply(&self, function: FunctionId, serial: u16, reply: &TestFrame) -> Result<(), Stop> {
         let expected = |what: &str| format!("the reply to {function} {what}");
         if reply.serial != serial {
@@ -545,7 +546,7 @@ impl<'a> Bench<'a> {
         Ok(reply)
     }
 
-    /// Opens an object, and keeps its handle.
+    /// Opens an object, and stores its handle.
     pub(crate) fn open(&mut self, slot: Slot, function: FunctionId, args: &[Arg]) -> Result<(), Stop> {
         let reply = self.want(function, args, Want::Ok)?;
         self.keep(slot, &reply)
@@ -562,7 +563,7 @@ impl<'a> Bench<'a> {
         let wants_success = !matches!(want, Want::Code(_) | Want::Refused);
         let is_missing = [HResult::E_NOTIMPL, HResult::E_INVALID_CMD_NAME, HResult::E_CAO_OBJECT_NOTFOUND];
         let opens = function.opens().is_some();
-        // a device may lack an object or a function, but not refuse one that it has
+        // a device may lack an object or a function, but must not refuse an existing one
         if refusals == Refusals::Skip
             && (is_missing[..2].contains(&reply.result()) || wants_success && opens && reply.result() == is_missing[2])
             && !matches!(want, Want::Code(codes) if codes.contains(&reply.result()))

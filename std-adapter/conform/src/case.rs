@@ -14,13 +14,13 @@ pub struct Case {
     pub(crate) name: Cow<'static, str>,
     pub(crate) group: Group,
     pub(crate) level: Level,
-    /// The lines of the specification, or where the answer was seen.
+    /// The lines of the specification, or where the answer was observed.
     pub(crate) source: &'static str,
     /// The rule in one sentence.
     pub(crate) rule: &'static str,
-    /// The link without which the case does not apply.
+    /// The only link to which the case applies.
     pub(crate) only: Option<Link>,
-    /// The models that the answer was seen on; none for a case of the specification.
+    /// The models on which the answer was observed; none for a case of the specification.
     pub(crate) models: Vec<Model>,
     pub(crate) setup: Setup,
     pub(crate) body: Body,
@@ -39,13 +39,13 @@ impl Case {
         self.group
     }
 
-    /// Returns the level from which on the case runs.
+    /// Returns the minimum level at which the case runs.
     #[must_use]
     pub const fn level(&self) -> Level {
         self.level
     }
 
-    /// Returns the lines of the specification that the case tests; for an answer of a real controller, where it was seen.
+    /// Returns the lines of the specification that the case tests; for an answer of a real controller, where it was observed.
     #[must_use]
     pub const fn source(&self) -> &'static str {
         self.source

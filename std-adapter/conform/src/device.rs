@@ -28,13 +28,13 @@ pub struct Options {
     pub cases: Vec<String>,
     /// The time limit of each reply, and of connecting.
     pub timeout: Duration,
-    /// How long a run waits for a device that accepts no connections after a case, such as after a crash.
+    /// The maximum wait for a device that accepts no connections after a case, such as after a crash.
     pub wait: Duration,
-    /// The command that starts such a device again, in a shell.
+    /// The command that restarts such a device, in a shell.
     pub restart: Option<String>,
-    /// How often the command may run.
+    /// The maximum number of runs of the command.
     pub restarts: u32,
-    /// How long the device must be silent before a case takes it for silent.
+    /// The time without bytes after which a case treats the device as silent.
     pub quiet: Duration,
     /// The provider of Controller_Connect.
     pub provider: String,

@@ -1,4 +1,4 @@
-//! Frames with deliberate errors, and what may follow them.
+//! Frames with deliberate errors, and the permitted reactions.
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
@@ -11,7 +11,7 @@ use crate::language::{Arg, Edit, Reaction, Want};
 use crate::reply::{Came, describe};
 
 impl Bench<'_> {
-    /// Sends Service_Start with changes, checks the reaction, and that the device serves another session.
+    /// Sends Service_Start with changes, checks the reaction, and checks that the device serves another session.
     pub(crate) fn edited(&mut self, edits: &[Edit], reaction: Reaction) -> Result<(), Stop> {
         if self.link == Link::Serial {
             return skip("a case of a network: with a wrong CRC a frame is noise");

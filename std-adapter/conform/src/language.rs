@@ -44,7 +44,7 @@ pub enum Group {
     Slave,
     /// The text protocol.
     Rac,
-    /// Answers of real controllers that no specification has. A difference is not a failure.
+    /// Answers of real controllers that no specification describes. A difference is not a failure.
     Seen,
 }
 
@@ -91,7 +91,7 @@ impl fmt::Display for Group {
     }
 }
 
-/// A model of controller that answers were seen on.
+/// A model of controller on which answers were observed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Model {
     /// RC8 or RC8A.
@@ -137,7 +137,7 @@ pub(crate) enum Setup {
     Arm,
 }
 
-/// A place that keeps a handle.
+/// A slot that stores a handle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Slot {
     Controller,
@@ -154,9 +154,9 @@ impl Slot {
 /// An argument of a call.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Arg {
-    /// The handle in a place, as I4.
+    /// The handle in a slot, as I4.
     H(Slot),
-    /// The handle in a place, as UI4.
+    /// The handle in a slot, as UI4.
     Unsigned(Slot),
     I(i32),
     S(&'static str),
@@ -190,34 +190,34 @@ pub(crate) enum Want {
 pub(crate) enum Step {
     /// Makes a call and checks its reply. A function that the device does not have skips the case.
     Call(FunctionId, &'static [Arg], Want),
-    /// The same; a device without this function fails the case.
+    /// The same, but a device without this function fails the case.
     Must(FunctionId, &'static [Arg], Want),
-    /// Makes a call that returns a handle, and keeps it.
+    /// Makes a call that returns a handle, and stores the handle.
     Open(Slot, FunctionId, &'static [Arg]),
     /// Two handles must differ.
     Differ(Slot, Slot),
     /// Sends Service_Start with changed bytes.
     Edited(&'static [Edit], Reaction),
-    /// Makes a call without sending more than these numbers of bytes at once.
+    /// Makes a call whose request is sent in pieces of these numbers of bytes.
     Pieces(&'static [usize]),
     /// Sends the last request again: with the next serial and the serial of the first attempt, or unchanged. The reply
     /// must equal the reply to the first attempt.
     Copy { renumbered: bool },
-    /// Ends the connection and starts another session; handles keep their places.
+    /// Ends the connection and starts another session; handles keep their slots.
     Reconnect,
     /// Ends the connection, starts another session and connects to the controller.
     ReconnectController,
     /// Connects to the controller once more.
     ConnectController,
-    /// Keeps the value of the scratch variable of a kind, to restore it after the case.
+    /// Saves the value of the scratch variable of a kind, to restore it after the case.
     Save(&'static str),
     /// Sends a line of RAC and checks the answer.
     Line(&'static str, LineWant),
-    /// Makes a step as another client, in a new session with controller and robot.
+    /// Executes a step as another client, in a new session with controller and robot.
     Other(&'static Step),
-    /// Keeps the present joints.
+    /// Stores the current joints.
     Here,
-    /// Sends the kept joints as a pose of Slave Mode.
+    /// Sends the stored joints as a pose of Slave Mode.
     SlvMove(Want),
 }
 
@@ -226,7 +226,7 @@ pub(crate) enum Step {
 pub(crate) enum Edit {
     /// Sets the function.
     Function(FunctionId),
-    /// Appends raw bytes as the arguments, and this as their number; the length is adjusted.
+    /// Appends raw bytes as the arguments, with this number of arguments; the length is adjusted.
     Body(u16, &'static [u8]),
     /// Sets a byte, counted from the start.
     Byte(usize, u8),
@@ -257,7 +257,7 @@ pub(crate) enum Edit {
 pub(crate) enum Reaction {
     /// A reply of success with the serial of the request.
     Served,
-    /// An error, or the end of the connection; over UDP silence too.
+    /// An error, or the end of the connection; over UDP also silence.
     Refused,
     /// An error or the end of the connection within the time limit; or a reply of success.
     Ends,

@@ -8,8 +8,8 @@
 //!  report   results as text, JSON (serde) and JUnit
 //! ```
 //!
-//! Most cases are of the specifications. Those of the group `seen` are answers of real controllers that no specification has:
-//! a device that answers otherwise [differs](Verdict::Differs), and does not fail.
+//! Most cases are of the specifications. The group `seen` has answers of real controllers that no specification describes: a
+//! device that answers otherwise [differs](Verdict::Differs), and does not fail.
 //!
 //! [`run`] judges a device: a controller, a gateway, another implementation. No client logic is between a case and the
 //! socket, so wrong frames can be sent, and nothing hides a wrong reply. Every wait has a time limit. [`ClientJudge`] is a
@@ -59,10 +59,10 @@ pub fn cases() -> &'static [Case] {
     cases::all()
 }
 
-/// Judges a device: runs the chosen cases, one after the other, and passes each result to `each`.
+/// Judges a device: runs the chosen cases sequentially, and passes each result to `each`.
 ///
-/// Before each case it asks `ended` whether to end early; the arm is given back and variables are restored by then. A case
-/// that moves an axis asks it before each motion, and is skipped if it returns true.
+/// Before each case it calls `ended`, which returns whether to end early; by then the arm is given back and variables are
+/// restored. A case that moves an axis calls it before each motion, and is skipped if it returns true.
 pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn() -> bool) -> Report {
     let mut report = Report::default();
     // the next case restores values that this one could not restore
@@ -83,7 +83,7 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
         // a device without RAC has not stopped
         let is_tried = |result: &CaseResult| result.group == Some(Group::Rac) && result.verdict != Verdict::Skip;
         if unreachable && (case.group != Group::Rac || report.results.iter().any(is_tried)) {
-            // no failure of this case: the device may have crashed in an earlier one
+            // not a failure of this case: the device may have crashed in an earlier case
             let earlier = report.results.iter().rfind(|result| result.verdict != Verdict::Skip);
             report.crashes.extend(earlier.map(|result| result.name.clone()));
             if report.crashes.is_empty() || !returns(case, options, restarter.as_mut(), &ended) {
@@ -102,8 +102,8 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
     report
 }
 
-/// Waits until a case reaches the device again, and starts it if there is a command; `false` if it does not in time, or the command
-/// may not run any more.
+/// Starts the device again if there is a command, and waits until a case reaches it; `false` if it stays unreachable, or the
+/// command may not run any more.
 fn returns(case: &Case, options: &Options, restarter: Option<&mut Restarter>, ended: &dyn Fn() -> bool) -> bool {
     if restarter.is_some_and(|restarter| !restarter.run().unwrap_or(false)) {
         return false;
@@ -156,14 +156,14 @@ fn may_run_again(case: &Case, bench: &Bench<'_>) -> bool {
     case.level == Level::Read && bench.refused && !bench.has_reply && bench.repeats < REFUSALS
 }
 
-/// Returns why a case of what was seen on other models does not apply.
+/// Returns the reason if a case with answers of other models does not apply.
 fn of_another_model(case: &Case, device: Option<Model>) -> Option<String> {
     let Some(device) = device else { return Some("the type of the robot is not known".into()) };
     let models = case.models.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
     (!case.models.contains(&device)).then(|| format!("seen on {models}; the device is an {device}"))
 }
 
-/// Runs a case; also tells whether the device did not accept its connection, or over UDP does not answer.
+/// Runs a case; also returns whether the device did not accept its connection, or over UDP does not answer.
 fn judge<'a>(
     case: &Case,
     options: &'a Options,

@@ -51,7 +51,7 @@ pub(crate) fn answer(bench: &mut Bench<'_>, wire: &mut Wire) -> Result<String, S
     }
 }
 
-/// Restores a variable by its PUT on the connection of the case, or on a new one if that has failed.
+/// Restores a variable by its PUT on the connection of the case, or on a new connection if that has failed.
 pub(crate) fn restore(bench: &mut Bench<'_>, wire: Option<Wire>, put: &str) -> Result<(), Stop> {
     if let Some(wire) = wire
         && put_back(bench, wire, put).is_ok()
@@ -62,7 +62,7 @@ pub(crate) fn restore(bench: &mut Bench<'_>, wire: Option<Wire>, put: &str) -> R
     put_back(bench, wire, put)
 }
 
-/// Takes the connection, because a small device has no slot for a second one.
+/// Reuses the connection, because a small device has no slot for a second one.
 fn put_back(bench: &mut Bench<'_>, mut wire: Wire, put: &str) -> Result<(), Stop> {
     let answer = ask(bench, &mut wire, put)?;
     check_answer(&answer, LineWant::Done)
@@ -80,8 +80,8 @@ pub(crate) fn with_restored(judged: Result<(), Stop>, restored: Result<(), Stop>
     }
 }
 
-/// Sends a line on a separate connection, and checks the answer. `{n}` is the scratch index; a PUT to it saves the
-/// variable before, or without b-CAP restores it if the PUT is not refused.
+/// Sends a line on a separate connection, and checks the answer. `{n}` is the scratch index; before a PUT to it the variable is
+/// saved; without b-CAP it is restored if the PUT was not refused as expected.
 pub(crate) fn check(bench: &mut Bench<'_>, line: &str, want: LineWant) -> Result<(), Stop> {
     let kind = line.strip_prefix("PUT:RC8:{n}:").and_then(|rest| rest.split(':').next());
     let kind = kind.filter(|kind| VariableKind::from_name(kind).is_some());
@@ -111,7 +111,7 @@ pub(crate) fn check(bench: &mut Bench<'_>, line: &str, want: LineWant) -> Result
 fn check_on(bench: &mut Bench<'_>, wire: &mut Wire, line: &str, want: LineWant) -> Result<(), Stop> {
     let answer = ask(bench, wire, line)?;
     let absent = [HResult::E_CAO_OBJECT_NOTFOUND, HResult::E_ACCESSDENIED, HResult::E_NOTIMPL, HResult::E_INVALIDARG];
-    // small devices have some kinds only, and refuse the others as an invalid argument; the cases need I1
+    // small devices have only some kinds, and refuse other kinds as an invalid argument; the cases need I1
     let absent = if line.contains(":I:") { &absent[..3] } else { &absent };
     if matches!(want, LineWant::Type(..)) && absent.iter().any(|code| answer == code.0.to_string()) {
         return skip(format!("the device does not have the variable: {answer}"));

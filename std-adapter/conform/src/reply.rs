@@ -1,4 +1,4 @@
-//! Requests and replies, by the encoder and the decoder of `bcap-testkit`. The core only words them for reports.
+//! Requests and replies, by the encoder and the decoder of `bcap-testkit`. The core only formats them for reports.
 
 use std::fmt::Write as _;
 
@@ -81,7 +81,7 @@ pub(crate) fn request_text(serial: u16, function: FunctionId, args: &[Value]) ->
     out
 }
 
-/// Words bytes as a request: serial, function and arguments.
+/// Formats bytes as a request: serial, function and arguments.
 pub(crate) fn describe(bytes: &[u8]) -> String {
     match (Oracle { strictness: Strictness::Lenient, ..TCP }).decode_packet(bytes) {
         Some(frame) => request_text(frame.serial, FunctionId(frame.code), &frame.args),

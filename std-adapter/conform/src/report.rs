@@ -14,7 +14,7 @@ pub enum Verdict {
     Pass,
     /// The device breaks the rule.
     Fail,
-    /// The device answers otherwise than a real controller of its model was seen to.
+    /// The device answers differently from a real controller of its model.
     Differs,
     /// The case did not run, or does not apply to the device.
     Skip,
@@ -31,11 +31,11 @@ pub struct CaseResult {
     /// The level; none for a case of a client.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub level: Option<Level>,
-    /// The lines of the specification, or where the answer was seen.
+    /// The lines of the specification, or where the answer was observed.
     pub source: &'static str,
     /// The rule in one sentence.
     pub rule: &'static str,
-    /// The model that the answer was seen on; none for a case of the specification.
+    /// The model on which the answer was observed; none for a case of the specification.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seen_on: Option<String>,
     /// The outcome.
@@ -73,7 +73,7 @@ impl CaseResult {
         }
     }
 
-    /// Appends the exchange, what was expected and what came.
+    /// Appends the exchange, the expected reply and the actual one.
     fn exchanged(&self, mut out: String) -> String {
         for line in &self.exchange {
             // writing to a string cannot fail, here and below
@@ -91,7 +91,7 @@ impl CaseResult {
 pub struct Report {
     /// The results, in the order in which the cases ran.
     pub results: Vec<CaseResult>,
-    /// The cases after which the device accepted no connection for a time: they may have crashed it.
+    /// The cases after which the device accepted no connection for some time: they may have crashed it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub crashes: Vec<String>,
     /// Whether the run ended because the device accepted no more connections.
@@ -99,7 +99,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Returns how many cases ended so.
+    /// Returns the number of cases with this verdict.
     #[must_use]
     pub fn count(&self, verdict: Verdict) -> usize {
         self.results.iter().filter(|result| result.verdict == verdict).count()
@@ -110,7 +110,8 @@ impl Report {
         self.results.iter().filter(|result| result.verdict == Verdict::Fail).map(|result| result.name.as_str())
     }
 
-    /// Returns the numbers of the results in one line: those of the specification, then those of what was seen, if any ran.
+    /// Returns the counts of the results in one line: first for the specification, then for observed answers, if any such case
+    /// ran.
     #[must_use]
     pub fn summary(&self) -> String {
         let (seen, specified): (Vec<_>, Vec<_>) =

@@ -12,7 +12,7 @@ use crate::language::{Arg, Setup, Slot, Step, Want};
 use crate::line;
 use crate::reply::request_text;
 
-/// The pause between two pieces of a frame: longer than the segments of one write are apart.
+/// The pause between two pieces of a frame: longer than the gap between the segments of one write.
 const PIECE_PAUSE: Duration = Duration::from_millis(20);
 
 impl Bench<'_> {
@@ -24,7 +24,7 @@ impl Bench<'_> {
         });
         let (log, refused) = (self.log.len(), self.refused);
         let restored = self.clean_up();
-        // a connection that the device refused at the end does not excuse the case
+        // a connection that the device refuses at the end does not excuse the case
         self.refused = refused;
         if restored.is_ok() {
             self.log.truncate(log);
@@ -75,7 +75,7 @@ impl Bench<'_> {
         }
     }
 
-    /// Makes a step in a new session of another client. Its refusals are those of this case, too.
+    /// Executes a step in a new session of another client. Its refusals count for this case too.
     fn as_another(&mut self, step: &Step) -> Result<(), Stop> {
         let mut other = self.another()?;
         let made = other.open_controller().and_then(|()| other.open_robot()).and_then(|()| other.step(step));

@@ -11,7 +11,7 @@ use crate::bench::{Bench, Stop, fail};
 use crate::language::{Arg, Level, Setup, Slot, Want};
 use crate::reply::{Came, request_text};
 
-/// The longest turn of an axis at the slow speed of cases.
+/// The maximum duration of a turn of an axis at the slow speed of cases.
 const TURN: Duration = Duration::from_secs(60);
 
 /// The parameter of TakeArm without a group, and of Motor to switch it off.
@@ -21,7 +21,7 @@ fn zeros() -> Value {
 
 impl<'a> Bench<'a> {
     /// Leaves the device as it was: halts, ends Slave Mode, turns the axis back, gives the arm back, stops the task, restores
-    /// variables. Every part is done even if another one fails.
+    /// variables. Every part is done even if another part fails.
     pub(crate) fn clean_up(&mut self) -> Result<(), Stop> {
         let armed = if self.armed { self.disarm() } else { Ok(()) };
         if self.wire.is_some() {
@@ -38,8 +38,8 @@ impl<'a> Bench<'a> {
         armed.and(stopped).and(restored)
     }
 
-    /// Clears the errors of the controller, if calls of this case have caused all of them. Below level `motion` nothing is cleared,
-    /// because the commands for it change the state of the controller and the robot.
+    /// Clears the errors of the controller, if calls of this case have caused all of them. Below level `motion` nothing is
+    /// cleared, because the necessary commands change the state of the controller and the robot.
     fn clear_own_errors(&mut self) {
         let caused = std::mem::take(&mut self.caused);
         if caused.is_empty() || self.options.level < Level::Motion {
@@ -62,7 +62,7 @@ impl<'a> Bench<'a> {
                 }
             }
             if count > 0 {
-                // a COBOTTA wants it, and others do not know it
+                // a COBOTTA needs it; other models do not have it
                 other.robot_command_at_end("ManualResetPreparation", Value::Empty);
                 other.controller_command("ClearError", Value::Empty)?;
             }
@@ -89,7 +89,7 @@ impl<'a> Bench<'a> {
         if self.robot_command_at_end("slvChangeMode", Value::I4(0)).is_none() {
             self.take_arm_again();
         }
-        // the halt of a motion is an error, too
+        // the halt of a motion is an error too
         self.caused.push(HResult::E_MOTION_STOPPED);
         self.clear_own_errors();
         let turned = self.turn_back();
@@ -109,7 +109,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Turns the axis back that the case has turned, but not after an interruption.
+    /// Turns back the axis that the case has turned, but not after an interruption.
     fn turn_back(&mut self) -> Result<(), Stop> {
         let Some(back) = self.way_back.take() else { return Ok(()) };
         if self.was_interrupted() {
@@ -123,7 +123,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Sets the external speed as it was before.
+    /// Restores the external speed.
     fn restore_speed(&mut self) {
         let Some(speed) = self.speed else { return };
         let speed = Value::Array(5, speed.map(|percent| Value::R8(percent.to_bits())).into());

@@ -1,4 +1,4 @@
-//! Clients: our own pass, and every planted fault of a small client is caught by the case that is named with it.
+//! Clients: our own clients pass, and every planted fault of a small client is caught by the case named with it.
 
 use std::net::SocketAddr;
 use std::thread;
@@ -14,7 +14,7 @@ use bcap_testkit::judge::TCP;
 use bcap_testkit::value::Value;
 use bcap_testkit::wire::{Received, Wire};
 
-/// Judges what `client` does, in this number of sessions.
+/// Judges `client` in this number of sessions.
 fn judged(link: Link, sessions: usize, client: impl FnOnce(SocketAddr) + Send + 'static) -> Report {
     let judge = ClientJudge::bind(link, "127.0.0.1:0".parse().unwrap()).unwrap();
     let address = judge.address().unwrap();
@@ -24,7 +24,8 @@ fn judged(link: Link, sessions: usize, client: impl FnOnce(SocketAddr) + Send + 
     report
 }
 
-/// A program with our client: every kind of provocation meets a reading call. After the end of its connection it connects again.
+/// A program with our client: every kind of provocation happens to a call that reads. After the end of its connection the
+/// program connects again.
 fn program(address: &str) -> Result<(), Error> {
     let mut cell = Controller::connect(address, &Settings::rc8())?;
     for _ in 0..20 {
@@ -95,7 +96,7 @@ struct Small {
     fault: &'static str,
     /// The option of Service_Start.
     option: &'static str,
-    /// How long an attempt may take. Over UDP the client then sends the call again, over TCP it goes on with its next call.
+    /// The time limit of an attempt. Over UDP the client then repeats the call, over TCP it continues with its next call.
     attempt: Duration,
 }
 
@@ -130,9 +131,9 @@ impl Small {
         serial
     }
 
-    /// Receives the reply to an attempt since this one; `None` when the client gives up.
+    /// Receives the reply to an attempt since this one; `None` when the client abandons the call.
     fn reply(&mut self, serial: u16) -> Result<(HResult, Option<Value>), Received> {
-        // this fault is that a part of a reply is taken for all of it
+        // this fault is that a part of a reply is taken for the whole reply
         let limit = if self.is("reply-in-pieces") { Duration::from_millis(1) } else { self.attempt };
         loop {
             let bytes = match self.wire.receive(limit) {
@@ -156,7 +157,7 @@ impl Small {
         }
     }
 
-    /// Makes a call, and returns its value; `None` when the client gives up.
+    /// Makes a call, and returns its value; `None` when the client abandons the call.
     fn call(&mut self, function: F, args: &[Value]) -> Option<Value> {
         let first = self.send(function, args, None);
         loop {
@@ -173,7 +174,7 @@ impl Small {
         }
     }
 
-    /// A session with one variable; `None` when the client gives up.
+    /// A session with one variable; `None` when the client abandons the call.
     fn session(&mut self) -> Option<()> {
         let text = Value::text;
         if !self.is("start-first") {
@@ -233,7 +234,7 @@ fn failures(report: &Report) -> Vec<&str> {
     report.failures().collect()
 }
 
-/// Some retries come while the judge waits, others cross its reply.
+/// Some retries arrive while the judge waits, others cross its reply.
 #[test]
 fn a_client_that_retries_early_is_right() {
     for attempt in [10, 50, 100] {
@@ -257,7 +258,7 @@ fn small_over_udp(fault: &'static str) -> Report {
     })
 }
 
-/// The next call of a client that gives up a call without a reply is no retransmission.
+/// After a client abandons a call without a reply, its next call is not a retransmission.
 #[test]
 fn a_client_that_does_not_retry_fails_for_this_alone() {
     let report = small_over_udp("retry-after-loss");
@@ -303,7 +304,7 @@ fn every_form_of_the_option_wdt_is_judged() {
     }
 }
 
-/// A request that comes before the reply is one fault: the request is answered later, and the rest of the session is right.
+/// A request that precedes the reply is one fault: the request is answered later, and the rest of the session is correct.
 #[test]
 fn a_request_before_the_reply_is_the_only_failure() {
     let report = small("waits-while-executing", 1);

@@ -13,7 +13,7 @@ use bcap_std::server::Limits;
 use bcap_tests::serial::SerialServer;
 use bcap_tests::served::Served;
 
-/// Runs all cases against a virtual controller: none fails or differs, and only cases of the other link, of other models and of
+/// Runs all cases against a virtual controller: none fails or differs, and only cases of other links, of other models and of
 /// `absent` are skipped.
 fn passes(profile: Profile, link: Link, absent: &[&str]) {
     // an RC8A takes more than a second
@@ -53,7 +53,7 @@ fn the_virtual_controllers_pass_over_tcp_and_udp() {
     });
 }
 
-/// Each answer that was seen names its observations, which the tests of the virtual controller play.
+/// Each observed answer names its observations, which the tests of the virtual controller replay.
 #[test]
 fn answers_that_were_seen_name_their_observations() {
     let observations = include_str!("../../sim/tests/provider/observations.toml");
@@ -67,7 +67,7 @@ fn answers_that_were_seen_name_their_observations() {
     }
 }
 
-/// A controller that answers otherwise than its model differs from what was seen, and does not fail.
+/// A controller that answers otherwise than its model differs from the observations, and does not fail.
 #[test]
 fn a_controller_that_answers_otherwise_differs() {
     let fault = "[[fault]]\nwhen = { call = 1, of = 'CurFig' }\nthen = { refuse = '0x80004005' }";

@@ -1,4 +1,4 @@
-//! Broken devices: every planted fault is caught by the case that is named with it.
+//! Broken devices: every planted fault is caught by the case named with it.
 
 use std::collections::{BTreeSet, HashMap};
 use std::io::{Read as _, Write as _};
@@ -49,7 +49,7 @@ const fn of_bytes(
     Fault { name, hooks: Hooks { bytes, ..Hooks::HONEST }, link, case }
 }
 
-/// Replaces the value of a reply that has one of this kind.
+/// Replaces the value of a reply if it is of this kind.
 fn with_value(mut frame: TestFrame, change: impl Fn(&Value) -> Option<Value>) -> Vec<u8> {
     if let Some(value) = frame.args.first_mut() {
         *value = change(value).unwrap_or(value.clone());
@@ -77,7 +77,7 @@ fn patched(frame: &TestFrame, change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
 /// Whether a motion runs on the device that serves one client at a time.
 static IS_MOVING: AtomicBool = AtomicBool::new(false);
 
-/// Locked by the device that waits for the rest of a frame and serves no other client meanwhile.
+/// Locked by the device while it waits for the rest of a frame; it serves no other client during that time.
 static HALF_FRAME: Mutex<()> = Mutex::new(());
 
 /// Waits until the motion runs, or has ended.
@@ -88,7 +88,7 @@ fn wait_for_motion(is_moving: bool) {
     }
 }
 
-/// A motion of one client delays the call 65999 of another.
+/// A motion of one client delays the call 65999 of another client.
 const ONE_CLIENT_AT_A_TIME: Hooks = Hooks {
     request: |_, frame| {
         if is_command(&frame, "DriveEx") {
@@ -399,7 +399,7 @@ fn every_planted_fault_is_caught_by_its_case() {
         println!("{}: {}\n{text}", fault.name, fault.case);
         (fault.name, fault.case, verdict)
     };
-    // a judge waits most of the time
+    // a judge is idle most of the time
     let missed: Vec<_> = thread::scope(|scope| {
         let group = |faults: &'static [Fault]| scope.spawn(move || faults.iter().map(found).collect::<Vec<_>>());
         let groups: Vec<_> = FAULTS.chunks(6).map(group).collect();
@@ -484,7 +484,8 @@ fn after_an_interruption_no_motion_begins() {
     assert_restored(&before, &served, &text);
 }
 
-/// Commands that change the state of the controller need level `motion`, even to clear the errors that a case has caused.
+/// Commands that change the state of the controller need level `motion`, even commands to clear the errors that a case has
+/// caused.
 #[test]
 fn a_case_that_reads_clears_no_errors() {
     static HAS_ERROR: AtomicBool = AtomicBool::new(false);
@@ -525,7 +526,7 @@ fn a_case_that_reads_clears_no_errors() {
 
 #[test]
 fn a_value_that_equals_a_handle_is_no_repeated_reply() {
-    // the handle of the controller is 2, those of the variables are 3 and 4
+    // the handle of the controller is 2, the handles of the variables are 3 and 4
     for (value, verdict) in [(3, Verdict::Pass), (4, Verdict::Skip)] {
         let served = rc8(100.0);
         assert_eq!(answer_of(served.rac, &format!("PUT:RC8:1:I:3,{value}\r")), "0\r");
@@ -672,7 +673,7 @@ fn a_session_that_stops_answering_is_replaced_to_switch_the_motor_off() {
     assert_eq!(state(&served), before, "{text}");
 }
 
-/// A device in front of a correct one, which ends connections.
+/// A device in front of a correct device; it ends connections.
 struct Ending {
     address: SocketAddr,
     /// The motions that it received.
@@ -681,8 +682,8 @@ struct Ending {
 }
 
 impl Ending {
-    /// Accepts a connection only if `accepts` returns true for the number of connections and of motions before it. Ends a connection
-    /// at its first motion.
+    /// Accepts a connection only if `accepts` returns true for the numbers of earlier connections and motions. Ends a
+    /// connection at its first motion.
     fn start(device: SocketAddr, accepts: impl Fn(usize, usize) -> bool + Send + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
@@ -753,7 +754,7 @@ fn a_device_that_ends_every_connection_gets_few() {
     ] {
         let device = Ending::start(served.tcp, |_, _| false);
         let (verdict, text) = device.judge(Level::Read, case);
-        // one with the bytes of the case, then a first call and its five repetitions
+        // one connection with the bytes of the case, then a first call and its five repetitions
         let connections = device.connections.load(Ordering::SeqCst);
         assert!(verdict == Verdict::Fail && connections <= 7, "{case}: {connections} connections: {text}");
     }
@@ -767,8 +768,8 @@ fn a_device_that_loses_its_slots_fails() {
     assert_eq!(verdict, Verdict::Fail, "{text}");
 }
 
-/// Serves a controller through connections that end, as those of a crash do, when a request has the wrong end 0x05. The port is
-/// closed then, until `restarts` returns true.
+/// Serves a controller through connections that close, as after a crash, when a request ends with 0x05 instead of 0x04. Then
+/// the port stays closed until `restarts` returns true.
 fn crashing(robot: SocketAddr, restarts: impl Fn() -> bool + Send + 'static) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -792,7 +793,7 @@ fn crashing(robot: SocketAddr, restarts: impl Fn() -> bool + Send + 'static) -> 
     address
 }
 
-/// Binds a port again, which may not be free at once.
+/// Binds a port again, which may not be free immediately.
 fn bound(address: SocketAddr) -> TcpListener {
     let until = Instant::now() + Duration::from_secs(60);
     loop {
@@ -804,7 +805,7 @@ fn bound(address: SocketAddr) -> TcpListener {
     }
 }
 
-/// Copies bytes until one end closes, or until bytes crash the device, which a new connection then notices.
+/// Copies bytes until one end closes, or until bytes crash the device, which is then woken by a new connection.
 fn copy(mut from: TcpStream, mut to: TcpStream, device: SocketAddr, crashed: Option<Arc<AtomicUsize>>) {
     thread::spawn(move || {
         let mut bytes = [0; 4096];
@@ -868,7 +869,7 @@ fn a_device_that_crashes_is_started_by_the_command_a_limited_number_of_times() {
     };
     let started = report(1);
     assert_eq!((&started.crashes[..], started.unreachable), (&["frames/wrong-end".to_owned()][..], false));
-    // the refusal that the case asks for, if the device ends the connection before it closes its port
+    // the case passes if the device ends the connection before it closes its port: a permitted refusal
     assert!(started.failures().all(|name| name == "frames/wrong-end"));
     let frames = bcap_conform::cases().iter().filter(|case| case.group() == Group::Frames).count();
     assert_eq!(started.results.len(), frames);
@@ -876,7 +877,8 @@ fn a_device_that_crashes_is_started_by_the_command_a_limited_number_of_times() {
     assert_eq!((ended.crashes, ended.unreachable), (vec!["frames/wrong-end".to_owned()], true));
 }
 
-/// Serves a controller over UDP until a request has the wrong end 0x05; then nothing is answered, until `restarts` returns true.
+/// Serves a controller over UDP until a request ends with 0x05 instead of 0x04; then it answers nothing until `restarts`
+/// returns true.
 fn crashing_over_udp(robot: SocketAddr, restarts: impl Fn() -> bool + Send + 'static) -> SocketAddr {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = socket.local_addr().unwrap();

@@ -1,4 +1,4 @@
-//! The axes along which a person moves a robot by steps, and where the robot is on each.
+//! The axes along which a person moves a robot by steps, and the robot's position on each.
 
 use std::fmt;
 use std::str::FromStr;
@@ -38,7 +38,7 @@ impl fmt::Display for Axis {
     }
 }
 
-/// A relative step: the motion, and where it ends.
+/// A relative step: the motion, and its destination.
 #[derive(Clone, Debug)]
 pub struct Step {
     /// The motion.
@@ -48,8 +48,8 @@ pub struct Step {
 }
 
 impl Axis {
-    /// Returns the motion by a step from where the robot rests; `None` if the position has no valid Fig. The arm must be taken,
-    /// and the tool selected, so that the position is still true when the robot moves.
+    /// Returns the motion of one step from the robot's resting position; `None` if the position has no valid Fig. The arm must
+    /// be taken, and the tool selected, so that the position is still true when the robot moves.
     ///
     /// # Errors
     ///
@@ -69,7 +69,7 @@ impl Axis {
         })
     }
 
-    /// Reads where the robot is on each axis.
+    /// Reads the robot's position on each axis.
     ///
     /// # Errors
     ///

@@ -64,31 +64,31 @@ pub trait Failure: fmt::Display + From<EncodeError> + From<ObjectPathError> {
     /// Returns whether nothing more can be called over this session.
     fn is_lost(&self) -> bool;
 
-    /// Makes the error of a call that was not made, because it would end a stream of Slave Mode.
+    /// Creates the error of a call that was not made, because it would end a stream of Slave Mode.
     fn skipped(message: String) -> Self;
 
-    /// Returns whether [`skipped`](Self::skipped) made it.
+    /// Returns whether [`skipped`](Self::skipped) created it.
     fn is_skipped(&self) -> bool;
 
-    /// Makes the error of a reply that does not fit the call.
+    /// Creates the error of a reply that does not match the call.
     fn unexpected(message: String) -> Self;
 
-    /// Makes the error of an invalid input of the user.
+    /// Creates the error of an invalid input of the user.
     fn invalid(message: String) -> Self;
 
-    /// Makes the error of a controller whose state does not fit the work.
+    /// Creates the error of a controller whose state does not permit the operation.
     fn unfit(message: String) -> Self;
 
     /// Adds the remedy.
     #[must_use]
     fn with_hint(self, hint: &str) -> Self;
 
-    /// Returns why the controller did not give something, if the session can go on without it: a refusal, or an unexpected reply.
+    /// Returns the reason why a read failed, if the session can continue without it: a refusal, or an unexpected reply.
     fn omission(&self) -> Option<String>;
 }
 
-/// Returns whether the session must be opened again: the connection is lost, or the controller no longer knows a handle
-/// because it has started again or has ended the session.
+/// Returns whether the session must be opened again: the connection is lost, or a handle no longer exists because the
+/// controller has restarted or has ended the session.
 pub fn needs_reconnect(failure: &impl Failure) -> bool {
     failure.is_lost() || failure.code() == Some(HResult::E_HANDLE)
 }

@@ -1,4 +1,4 @@
-//! The present errors of a controller. While a stream of Slave Mode runs, nothing is sent that would end it.
+//! The current errors of a controller. While a stream of Slave Mode runs, nothing is sent that would end it.
 
 use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::hresult::HResult;
@@ -12,8 +12,8 @@ use crate::stream::StreamCheck;
 /// The maximum number of errors that are read: each is a call.
 const MOST: usize = 100;
 
-/// Reads at most 100 present errors with their texts, the first cause first. The last text counts the others. Errors that another
-/// client clears meanwhile are left out.
+/// Reads at most 100 current errors with their texts, the first cause first. The last text has the number of further errors.
+/// Errors that another client clears during the reading are left out.
 ///
 /// # Errors
 ///
@@ -21,7 +21,7 @@ const MOST: usize = 100;
 pub fn present<C: Calls>(calls: &mut C, check: &mut StreamCheck) -> Result<Vec<(HResult, String)>, C::Error> {
     let mut count = count(calls, check)?;
     loop {
-        // the last one is the first cause
+        // the last error is the first cause
         let errors = (0..count).rev().take(MOST).map(|index| error(calls, check, index)).collect::<Result<Vec<_>, _>>();
         let failure = match errors {
             Ok(errors) => return Ok(with_rest(errors, count)),
@@ -45,7 +45,7 @@ fn with_rest(mut errors: Vec<(HResult, String)>, count: i32) -> Vec<(HResult, St
     errors
 }
 
-/// Reads the number of present errors.
+/// Reads the number of current errors.
 ///
 /// # Errors
 ///
@@ -55,7 +55,7 @@ pub fn count<C: Calls>(calls: &mut C, check: &mut StreamCheck) -> Result<i32, C:
     Ok(count.as_variant().as_i32().unwrap_or(0).max(0))
 }
 
-/// Reads a present error and its text.
+/// Reads a current error and its text.
 ///
 /// # Errors
 ///

@@ -1,7 +1,7 @@
 //! The files of a controller. A path has `/` between its parts here, and `\` on the wire.
 //!
-//! These functions do not ask whether a stream of Slave Mode runs. A caller asks with a
-//! [`StreamCheck`](crate::stream::StreamCheck) before, or hands over [`CheckedCalls`](crate::stream::CheckedCalls).
+//! These functions do not check whether a stream of Slave Mode runs. A caller checks with a
+//! [`StreamCheck`](crate::stream::StreamCheck) before, or passes [`CheckedCalls`](crate::stream::CheckedCalls).
 
 use bcap_capture::value::describe;
 use bcap_core::bcap::{FunctionId, Object};
@@ -17,11 +17,11 @@ use crate::variables::all_strings;
 pub enum Kind {
     /// A file that exists.
     File,
-    /// A file, which is made if it does not exist.
+    /// A file, which is created if it does not exist.
     NewFile,
     /// A folder that exists.
     Folder,
-    /// A folder, which is made if it does not exist.
+    /// A folder, which is created if it does not exist.
     NewFolder,
 }
 
@@ -65,7 +65,7 @@ pub fn read<C: Calls>(calls: &mut C, path: &str) -> Result<Vec<u8>, C::Error> {
 ///
 /// # Errors
 ///
-/// As [`read`]; [`Failure::unexpected`] for bytes that are not UTF-8.
+/// Same as [`read`], plus [`Failure::unexpected`] for bytes that are not UTF-8.
 pub fn text<C: Calls>(calls: &mut C, path: &str) -> Result<String, C::Error> {
     String::from_utf8(read(calls, path)?).map_err(|_| C::Error::unexpected(format!("/{path}: its bytes are not text")))
 }
@@ -121,10 +121,10 @@ fn unexpected<F: Failure>(path: &str, value: Option<&OwnedVariant>) -> F {
     F::unexpected(format!("/{path}: the reply carries {}", describe(value)))
 }
 
-/// The deepest folder that is read.
+/// The maximum depth of folders that are read.
 const DEPTH: usize = 32;
 
-/// The maximum number of folders that are read, so that a controller cannot list new ones for ever.
+/// The maximum number of folders that are read, so that a controller cannot list new folders indefinitely.
 const FOLDERS: usize = 10_000;
 
 /// A file or folder.
@@ -205,7 +205,7 @@ pub fn find<C: Calls>(calls: &mut C, pattern: &str) -> Result<Vec<Item>, C::Erro
 fn matches(pattern: &str, name: &str) -> bool {
     let lower = |text: &str| text.chars().flat_map(char::to_lowercase).collect::<Vec<_>>();
     let name = lower(name);
-    // the lengths of the beginnings of the name that the pattern up to here matches
+    // the lengths of the prefixes of the name that the pattern matches up to here
     let mut lengths = vec![0];
     for c in lower(pattern) {
         lengths = match c {
@@ -219,7 +219,7 @@ fn matches(pattern: &str, name: &str) -> bool {
     lengths.last() == Some(&name.len())
 }
 
-/// Deletes a file, and asks whether it still exists.
+/// Deletes a file, and checks whether it still exists.
 ///
 /// # Errors
 ///
@@ -250,8 +250,8 @@ pub fn size<C: Calls>(calls: &mut C, path: &str) -> Result<i64, C::Error> {
 
 /// Lists all files of a folder and of the folders below it. A folder with an unsafe name is listed, not opened.
 ///
-/// `watch` gets, before each folder, how many were listed and how many are known. `skip` gets the path of a folder that cannot
-/// be listed, with the reason. An error of one of them ends the walk.
+/// Before each folder, `watch` gets the number of listed folders and the number of known folders. `skip` gets the path of a
+/// folder that cannot be listed, with the reason. An error of one of them ends the walk.
 ///
 /// # Errors
 ///
@@ -270,7 +270,7 @@ pub fn walk<C: Calls>(
         read += 1;
         watch(before, read.saturating_add(folders.len()))?;
         if read > FOLDERS {
-            // the folders that are left are not known by name
+            // the names of the remaining folders are unknown
             skip(String::new(), too_many(&folder))?;
             break;
         }
@@ -293,7 +293,7 @@ fn too_many<F: Failure>(folder: &str) -> F {
     F::unexpected(message).with_hint("copy single folders with `bcap cp`")
 }
 
-/// Writes a file, which is made if it does not exist, and reads it back.
+/// Writes a file, which is created if it does not exist, and reads it back.
 ///
 /// UTF-8 is sent as BSTR, other bytes as UI1 array.
 ///
@@ -312,7 +312,7 @@ pub fn write<C: Calls>(calls: &mut C, path: &str, bytes: &[u8]) -> Result<(), C:
     })
 }
 
-/// Makes the folders above a file, if they do not exist.
+/// Creates the parent folders of a file, if they do not exist.
 ///
 /// # Errors
 ///

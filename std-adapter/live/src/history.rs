@@ -9,7 +9,7 @@ use crate::calls::Calls;
 use crate::errors::checked;
 use crate::stream::StreamCheck;
 
-/// A log of the controller, and the entries that were seen.
+/// A log of the controller, and the entries that were read.
 #[derive(Debug)]
 pub struct Log {
     is_error: bool,
@@ -31,8 +31,8 @@ impl Log {
         Self { is_error: false, count: "GetOprLogCount", get: "GetOprLog", seen: HashSet::new() }
     }
 
-    /// Adds the entries that were not seen, at most `most` from each end. No source says which end of a log is the latest one, so
-    /// it reads from both up to a seen entry.
+    /// Adds the new entries, at most `most` from each end. No source says which end of a log is the most recent, so both ends
+    /// are read up to a known entry.
     ///
     /// # Errors
     ///

@@ -6,8 +6,9 @@
 //!  jog thread:   TakeArm, Motor ──┴─ step ── step ── step ─┴─ (wait) ──────────┴─ Robot_Halt, Motor off, GiveArm
 //! ```
 //!
-//! Each step is a whole relative motion with an end, so that a lost program never leaves a motion without one. A lifted button
-//! lets the step under way end, because a halt leaves an error on a real controller; after [`REST`] it is halted too.
+//! Each step is a whole relative motion with an end, so that a program that is lost never leaves an endless motion. When a
+//! button is lifted, the running step is not halted, because a halt leaves an error on a real controller; after [`REST`] it is
+//! halted anyway.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -19,28 +20,28 @@ use bcap_std::{Error, Motion};
 use crate::axis::Axis;
 use crate::link::{Access, Link};
 
-/// The longest time from one heartbeat to the next.
+/// The maximum time from one heartbeat to the next.
 pub const LAPSE: Duration = Duration::from_millis(120);
 
-/// The longest time for a step after its button was lifted.
+/// The maximum time for a step after its button was lifted.
 pub const REST: Duration = Duration::from_millis(200);
 
-/// The longest time without a step, after which the arm is given back.
+/// The maximum time without a step, after which the arm is given back.
 pub const IDLE: Duration = Duration::from_secs(60);
 
-/// The longest step, in mm or degrees.
+/// The maximum step, in mm or degrees.
 pub const LONGEST: f64 = 5.0;
 
-/// The highest speed, in percent of the speed that the arm is set to.
+/// The maximum speed, in percent of the arm's speed setting.
 pub const FASTEST: f64 = 10.0;
 
-/// The highest speed of the tool centre point, in mm/s.
+/// The maximum speed of the tool centre point, in mm/s.
 pub const FASTEST_MM: f64 = 250.0;
 
-/// The longest time of a step. At 0.1 % of the speed a step of 5 degrees lasts this long.
+/// The maximum duration of a step. At 0.1 % of the speed a step of 5 degrees takes this time.
 const STEP_LIMIT: Duration = Duration::from_secs(20);
 
-/// The time from one look at a moving robot to the next.
+/// The interval at which a moving robot is polled.
 const LOOK: Duration = Duration::from_millis(5);
 
 /// The step that a held button repeats.
@@ -80,11 +81,11 @@ pub enum Phase {
     Moving,
     /// The robot rests. The motor goes off, and the arm is given back.
     Ending,
-    /// It has ended. [`Grip::outcome`] says how.
+    /// It has ended. [`Grip::outcome`] has the result.
     Ended,
 }
 
-/// A person's hold of a robot: what the page and the jog thread share. It ends once, and does not begin again.
+/// The state of one jog, shared by the page and the jog thread. It cannot be restarted.
 #[derive(Debug)]
 pub struct Grip {
     state: Mutex<GripState>,
@@ -116,7 +117,7 @@ impl Default for Grip {
 
 impl Grip {
     fn lock(&self) -> MutexGuard<'_, GripState> {
-        // a panic of another thread leaves a state that can only end
+        // after a panic of another thread the jog can only end
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if state.end.is_none() && state.phase != Phase::Ended {
             let now = Instant::now();
@@ -145,7 +146,7 @@ impl Grip {
     ///
     /// # Errors
     ///
-    /// A text if another one is held, or the grip is not ready for it. A second button ends the grip.
+    /// A text if another button is held, or the grip is not ready for a step. A second button ends the grip.
     pub fn press(&self, press: Press) -> Result<(), String> {
         let mut state = self.lock();
         if let Some(why) = &state.end {
@@ -165,7 +166,7 @@ impl Grip {
         Ok(())
     }
 
-    /// Records that the button was lifted. Returns how many steps it has made.
+    /// Records that the button was lifted. Returns the number of its steps.
     pub fn lift(&self) -> u32 {
         let mut steps = 0;
         self.change(|state| {
@@ -177,7 +178,7 @@ impl Grip {
         steps
     }
 
-    /// Ends the grip: the robot is halted, and the arm given back. The first reason stays.
+    /// Ends the grip: the robot is halted, and the arm given back. The first reason is kept.
     pub fn end(&self, why: &str) {
         self.change(|state| {
             state.end.get_or_insert_with(|| why.to_owned());
@@ -196,7 +197,7 @@ impl Grip {
         self.lock().phase
     }
 
-    /// Returns how the jog thread has ended: what was seen, or what is not known.
+    /// Returns the outcome of the jog thread: the verified state, or what is unknown.
     #[must_use]
     pub fn outcome(&self) -> Option<Result<&'static str, String>> {
         self.lock().outcome.clone()
@@ -220,7 +221,7 @@ impl Grip {
         }
     }
 
-    /// Begins a step, if it is one of the button that is held.
+    /// Begins a step, if it belongs to the button that is held.
     fn begins(&self, press: Press) -> bool {
         let mut state = self.lock();
         let is_held = state.end.is_none() && state.press == Some(press);
@@ -230,7 +231,7 @@ impl Grip {
         is_held
     }
 
-    /// Returns whether a step is under way that must be halted.
+    /// Returns whether the running step must be halted.
     #[must_use]
     pub fn must_halt(&self) -> bool {
         let state = self.lock();
@@ -239,8 +240,8 @@ impl Grip {
     }
 }
 
-/// Jogs a robot over a new session until the grip ends. Then the robot rests, the motor that was switched on is off, and the arm
-/// is free; the [outcome](Grip::outcome) says what is not known of that.
+/// Jogs a robot over a new session until the grip ends. Then the robot rests, the motor that was switched on is off, and the
+/// arm is free; the [outcome](Grip::outcome) says which part of this is unknown.
 pub fn run(access: &Access, grip: &Grip) {
     let end = EndOnDrop(grip);
     let outcome = match ready(access).and_then(|mut controller| Ok(hold(&mut controller, grip)?)) {
@@ -257,7 +258,7 @@ pub fn run(access: &Access, grip: &Grip) {
     drop(end);
 }
 
-/// Ends the phases of a grip, also after a panic.
+/// Ends the phases of a grip, even after a panic.
 struct EndOnDrop<'a>(&'a Grip);
 
 impl Drop for EndOnDrop<'_> {
@@ -292,7 +293,7 @@ fn hold(controller: &mut Controller, grip: &Grip) -> Result<Result<&'static str,
     };
     let jogged = jog(&mut arm, grip);
     let rests = match &jogged {
-        // a call failed, so it is not known whether the robot moves
+        // a call failed, so it is unknown whether the robot moves
         Err(crate::link::Error::Call(_)) => arm.robot().halt().map(drop),
         _ => Ok(()),
     };
@@ -339,7 +340,7 @@ fn jog(arm: &mut Arm<'_>, grip: &Grip) -> Result<(), crate::link::Error> {
     Ok(())
 }
 
-/// Makes a step, and halts it if the grip ends.
+/// Executes a step, and halts it if the grip ends.
 fn step(arm: &mut Arm<'_>, press: Press, grip: &Grip) -> Result<(), crate::link::Error> {
     let Press { axis, by, percent } = press;
     let invalid = |why: String| Err(crate::link::Error::Invalid(why));
@@ -355,7 +356,7 @@ fn step(arm: &mut Arm<'_>, press: Press, grip: &Grip) -> Result<(), crate::link:
     }
     let mut moving = arm.start(&step.motion.speed_percent(percent), STEP_LIMIT)?;
     if let Some(why) = watch(&mut moving, grip)? {
-        // halts, and waits until the robot was seen at rest
+        // halts, and waits until the robot is verified to be at rest
         let _ = moving.robot().halt()?;
         drop(moving);
         return why.map_or(Ok(()), invalid);
@@ -370,7 +371,7 @@ fn step(arm: &mut Arm<'_>, press: Press, grip: &Grip) -> Result<(), crate::link:
     Ok(())
 }
 
-/// Watches a robot that moves. Returns `Some` if it must be halted, with the error that is the reason; `None` at its end.
+/// Watches a moving robot. Returns `Some` if it must be halted, with the error that is the reason; `None` when the motion ends.
 fn watch(moving: &mut Moving<'_>, grip: &Grip) -> Result<Option<Option<String>>, Error> {
     let mut last: Option<(Instant, [f64; 3])> = None;
     loop {
@@ -382,7 +383,7 @@ fn watch(moving: &mut Moving<'_>, grip: &Grip) -> Result<Option<Option<String>>,
         }
         let asked = Instant::now();
         let place = moving.robot().position()?.xyz_mm;
-        // from before the first question to after the second answer: the robot was not slower than this speed
+        // from before the first request to after the second answer: the robot was not slower than this speed
         if let Some(speed) = last.map(|(since, from)| distance(from, place) / since.elapsed().as_secs_f64())
             && speed > FASTEST_MM
         {
@@ -398,7 +399,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Says what the value of OutRange means: bits of axes, or a negative number.
+/// Describes the value of OutRange: bits of axes, or a negative number.
 fn out_of_range(value: i32) -> String {
     match value {
         -1 => "the end of the step is out of reach".into(),
@@ -430,7 +431,7 @@ mod tests {
     #[test]
     fn a_grip_ends_once_and_stays_ended() {
         let grip = Grip::default();
-        // so that no delay of this thread is a lost heartbeat
+        // so that a delay of this thread does not count as a lost heartbeat
         grip.state.lock().unwrap().beat += IDLE;
         let press = Press::new(Axis::Joint(1), 1.0, 1.0).unwrap();
         assert!(grip.press(press).unwrap_err().contains("wait a moment"), "it is starting");

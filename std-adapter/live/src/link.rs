@@ -21,7 +21,7 @@ use crate::stream::StreamCheck;
 use crate::tap::Tap;
 use crate::variables::get_one;
 
-/// The time limit of each call, and of connecting. A controller that is switched off is seen within this time.
+/// The time limit of each call, and of connecting. A controller that is switched off is detected within this time.
 const LIMIT: Duration = Duration::from_secs(3);
 
 /// The time limit of each call of a halt, with its keep-alives: a robot needs time to come to rest.
@@ -30,12 +30,12 @@ const HALT_LIMIT: Duration = Duration::from_secs(10);
 /// The time limit of each call of any function, with its keep-alives: a motion ends within it.
 const CALL_LIMIT: Duration = Duration::from_secs(60);
 
-/// Where a controller is, and the arguments of Controller_Connect.
+/// The address of a controller, and the arguments of Controller_Connect.
 #[derive(Clone, Debug)]
 pub struct Access {
-    /// The address. A serial line carries one session, so it has no second one for a halt.
+    /// The address. A serial line carries only one session, so there is no second session for a halt.
     pub address: Address,
-    /// The provider; `None` for the one of an RC8, or of an RC9 if the controller refuses that.
+    /// The provider; `None` for the provider of an RC8, or of an RC9 if the controller refuses that.
     pub provider: Option<String>,
     /// The machine that the provider runs on, seen from the controller; `None` for its default.
     pub machine: Option<String>,
@@ -65,7 +65,7 @@ pub enum Error {
     /// The call was not made, because it would end a stream of Slave Mode.
     #[error("{0}")]
     Skipped(String),
-    /// The reply does not fit the call.
+    /// The reply does not match the call.
     #[error("{0}")]
     Unexpected(String),
     /// The input of the user is invalid.
@@ -106,7 +106,7 @@ impl calls::Failure for Error {
     }
 
     fn is_lost(&self) -> bool {
-        // after a missing reply too: the controller may have ended the session meanwhile
+        // after a missing reply too: the controller may have ended the session in the meantime
         matches!(self, Self::Call(bcap_std::Error::NoReply { .. } | bcap_std::Error::NotConnected { .. }))
     }
 
@@ -230,7 +230,7 @@ impl Link {
         self.ends
     }
 
-    /// Starts a task, unless that would end a stream of Slave Mode. `may` is asked directly before the start.
+    /// Starts a task, unless that would end a stream of Slave Mode. `may` is called directly before the start.
     ///
     /// # Errors
     ///
@@ -257,7 +257,7 @@ impl Link {
         Ok(self.controller.task(name)?.stop(mode)?)
     }
 
-    /// Reads the line of a program that a task is at; `None` if the controller does not say it.
+    /// Reads the line of a program that a task is at; `None` if the controller does not report it.
     ///
     /// # Errors
     ///
@@ -309,7 +309,7 @@ impl Calls for Link {
     ) -> Result<(HResult, Option<OwnedVariant>), Error> {
         let called = self.controller.call_any(subject, function, arguments);
         if function.releases().is_some() {
-            // the controller may give the number to another object
+            // the controller may reuse the number for another object
             self.objects.clear();
         }
         Ok(called?)

@@ -11,17 +11,17 @@ use bcap_terminal::escape;
 /// The entries that are kept.
 const KEPT: usize = 500;
 
-/// How long a change is marked.
+/// The time during which a change is marked.
 pub const MARKED: Duration = Duration::from_secs(2);
 
-/// The calls whose last reply is remembered.
+/// The maximum number of calls whose last reply is stored.
 const REMEMBERED: usize = 4096;
 
-/// The last calls. A call whose reply is the same as before is omitted, unless all are wanted.
+/// The last calls. A call with an unchanged reply is omitted, unless all calls are wanted.
 #[derive(Debug, Default)]
 pub struct CallLog {
     entries: VecDeque<Entry>,
-    /// How many entries there were, including those that are no longer kept.
+    /// The number of all entries, including entries that are no longer kept.
     total: u64,
     /// The request that has no reply yet.
     pending: Option<String>,
@@ -32,13 +32,13 @@ pub struct CallLog {
     /// The names of the objects, by handle as in the text of a packet.
     names: HashMap<String, String>,
     hasher: RandomState,
-    /// Whether calls whose reply is the same as before are kept too.
+    /// Whether calls with an unchanged reply are kept too.
     pub shows_all: bool,
     /// Whether no calls are kept.
     pub is_paused: bool,
 }
 
-/// A call and its reply, as text that is cut to a thousand characters.
+/// A call and its reply, as text that is truncated to a thousand characters.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
     /// When the call ended.
@@ -54,12 +54,12 @@ pub struct Entry {
 /// The statistics of the calls of a function for an object.
 #[derive(Clone, Debug)]
 pub struct CallStats {
-    /// How many there were.
+    /// The number of calls.
     pub count: u64,
     first: Duration,
-    /// When the last one ended.
+    /// When the last call ended.
     pub last: Duration,
-    /// When the reply last differed from the one before.
+    /// When the reply last differed from the previous reply.
     pub changed: Option<Duration>,
     /// The last reply.
     pub reply: String,
@@ -78,7 +78,7 @@ impl CallLog {
     pub fn packet(&mut self, role: Role, text: &str, at: Duration) {
         let (number, reply) = text.split_once(' ').unwrap_or(("", text));
         let pending = match role {
-            // the earlier request has no reply, such as one whose connection was lost
+            // the earlier request has no reply, for example because its connection was lost
             Role::Request => self.pending.replace(text.to_owned()),
             // a keep-alive: the reply follows
             Role::Response if reply.starts_with(&HResult::S_EXECUTING.to_string()) => return,
@@ -151,7 +151,7 @@ impl CallLog {
         self.entries.iter()
     }
 
-    /// Returns how many entries there were, including those that are no longer kept.
+    /// Returns the number of all entries, including entries that are no longer kept.
     #[must_use]
     pub const fn total(&self) -> u64 {
         self.total

@@ -1,4 +1,4 @@
-//! The messages of a controller. It keeps them for each session from its start on.
+//! The messages of a controller. The controller keeps them for each session from the start of the session on.
 
 use std::fmt;
 
@@ -16,7 +16,7 @@ use crate::stream::StreamCheck;
 pub struct Message {
     /// The number, as it was sent.
     pub number: String,
-    /// The part of the controller that it is from.
+    /// The part of the controller that sent it.
     pub source: String,
     /// The controller's time.
     pub time: String,
@@ -32,7 +32,7 @@ impl fmt::Display for Message {
 }
 
 impl Message {
-    /// Returns the number; the code of an error as everything else prints it.
+    /// Returns the number; the code of an error in the usual form.
     fn number(&self) -> String {
         match self.number.parse() {
             Ok(code @ ..0) => format!("{:#010x}", HResult(code).to_u32()),

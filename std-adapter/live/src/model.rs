@@ -33,7 +33,7 @@ pub struct Model {
     pub tasks: Vec<(String, String)>,
     /// The errors, the first cause first; `Err` says why they were not read.
     pub errors: Result<Vec<Fault>, String>,
-    /// The messages, the latest last.
+    /// The messages in chronological order.
     pub messages: VecDeque<String>,
     /// The packets.
     pub log: CallLog,
@@ -60,7 +60,7 @@ pub struct Variable {
 }
 
 impl Variable {
-    /// Returns whether the value changed a moment ago.
+    /// Returns whether the value changed recently.
     #[must_use]
     pub fn has_changed(&self, now: Duration) -> bool {
         self.changed.is_some_and(|at| now < at + MARKED)
@@ -143,7 +143,7 @@ impl Model {
         }
     }
 
-    /// The connection is lost: nothing that was read stays as if it were present. Variables keep their history.
+    /// The connection is lost: values that were read are no longer shown as current. Variables keep their history.
     fn lose(&mut self, why: String) {
         (self.lost, self.errors) = (Some(why), Err("the connection is lost".into()));
         (self.words, self.has_error, self.robot, self.tasks) = Default::default();
@@ -218,7 +218,7 @@ mod tests {
         assert!(model.variables[0].has_changed(Duration::from_secs(2)));
         assert!(!model.variables[0].has_changed(Duration::from_secs(3)));
         model.apply(Update::Value(0, Err("refused".into())));
-        // a value after a refusal is no change
+        // a value after a refusal is not a change
         model.now = Duration::from_secs(9);
         model.apply(Update::Value(0, value(5)));
         assert_eq!(model.variables[0].changed, Some(Duration::from_secs(1)));

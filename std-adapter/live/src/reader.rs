@@ -14,13 +14,13 @@ use crate::model::{Robot, Update};
 use crate::stream::StreamCheck;
 use crate::variables::{list, short_type, shown, state_words, value};
 
-/// How often tasks, messages, the tool, the work and the speed are read.
+/// The interval at which tasks, messages, the tool, the work and the speed are read.
 pub const SLOW: Duration = Duration::from_secs(1);
 
 /// The tasks whose states are read.
 const TASKS: usize = 64;
 
-/// The maximum number of messages that are read in a row, so that a controller cannot send new ones for ever.
+/// The maximum number of messages that are read in a row, so that a controller cannot send new messages indefinitely.
 pub const MESSAGES: usize = 100;
 
 /// Takes the results of a round, and acts between its calls.
@@ -28,7 +28,7 @@ pub trait Rounds<C: Calls> {
     /// Takes a result.
     fn tell(&mut self, update: Update);
 
-    /// Called before each call, so that an order of a user over a slow line does not wait for the end of the round.
+    /// Called before each call, so that a user's order over a slow line does not wait for the end of the round.
     ///
     /// # Errors
     ///
@@ -177,7 +177,8 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
                 Err(failure) if needs_reconnect(&failure) => return Err(failure),
                 errors => errors,
             };
-            // an error may come and go between two reads, and a refusal is not repeated: it may be an entry in the controller's log
+            // an error may appear and vanish between two reads; a refused read is not repeated, because each refusal may be an
+            // entry in the controller's log
             self.reader.had_error =
                 has_error || errors.as_ref().map_or_else(Failure::is_skipped, |list| !list.is_empty());
             self.rounds.tell(Update::Errors(errors.map_err(|failure| failure.to_string())));
@@ -286,7 +287,7 @@ mod tests {
 
     const FAULT: HResult = HResult::E_SLVMODE_OFF;
 
-    /// A controller without a present error, but with one that another client makes and clears between two calls.
+    /// A controller without an error, except one that another client causes and clears between two calls.
     struct Fake {
         /// The answers to `GetCurErrorCount`.
         counts: VecDeque<i32>,

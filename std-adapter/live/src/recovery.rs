@@ -1,4 +1,4 @@
-//! A recovery of a robot that a person makes step by step: each step waits for the person.
+//! An interactive recovery of a robot: each step waits for the user's confirmation.
 
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -11,10 +11,10 @@ use bcap_std::blocking::{Arm, Controller};
 
 use crate::link::{Access, Error, Link};
 
-/// The longest time from one step to the next.
+/// The maximum time from one step to the next.
 pub const IDLE: Duration = Duration::from_secs(120);
 
-/// The state that a page and the thread of a recovery share. It ends once.
+/// The state that a page and the thread of a recovery share. It cannot be restarted.
 #[derive(Debug, Default)]
 pub struct Recovery {
     state: Mutex<State>,
@@ -26,9 +26,9 @@ pub struct Recovery {
 pub struct State {
     /// The steps of this model and state, in their order.
     pub plan: Vec<RecoveryStep>,
-    /// The steps that were made, with the code of one that the controller does not have.
+    /// The completed steps, each with `Err` and the code if the controller does not support it.
     pub done: Vec<(RecoveryStep, Result<(), HResult>)>,
-    /// The step that the person has agreed to last.
+    /// The most recent step that the user confirmed.
     agreed: Option<RecoveryStep>,
     /// Why it ends.
     end: Option<String>,
@@ -47,7 +47,7 @@ impl State {
         self.done.iter().any(|(done, _)| *done == step)
     }
 
-    /// Returns whether the step that the person has agreed to has not been made.
+    /// Returns whether the confirmed step is still pending.
     #[must_use]
     pub fn is_busy(&self) -> bool {
         self.agreed.is_some_and(|agreed| !self.is_done(agreed))
@@ -65,11 +65,11 @@ impl Recovery {
         self.lock().clone()
     }
 
-    /// Agrees to the next step, by its name.
+    /// Confirms the next step, by its name.
     ///
     /// # Errors
     ///
-    /// A text if this is not the next step, or the one before is not made.
+    /// A text if this is not the next step, or the previous step is still pending.
     pub fn agree(&self, name: &str) -> Result<(), String> {
         let mut state = self.lock();
         match state.next().filter(|step| step.name() == name) {
@@ -84,7 +84,8 @@ impl Recovery {
         }
     }
 
-    /// Ends the recovery after the step under way. What it has switched on is switched off. Returns whether this is the first end.
+    /// Ends the recovery after the running step. A motor that it has switched on is switched off. Returns whether this is the
+    /// first call.
     pub fn end(&self, why: &str) -> bool {
         let mut state = self.lock();
         let is_first = state.end.is_none();
@@ -93,21 +94,21 @@ impl Recovery {
         is_first
     }
 
-    /// Returns whether the step under way can move the robot by itself: MotionPreparation of a COBOTTA. [`end`](Self::end) does not
-    /// stop it, so after an end the caller halts the robot over another session while this is `true`.
+    /// Returns whether the running step can move the robot by itself: MotionPreparation of a COBOTTA. [`end`](Self::end) does
+    /// not stop it, so after an end the caller halts the robot over another session while this is `true`.
     #[must_use]
     pub fn moves(&self) -> bool {
         let state = self.lock();
         state.outcome.is_none() && state.is_busy() && state.agreed == Some(RecoveryStep::MotionPreparation)
     }
 
-    /// Waits until the person agrees to the next step. Breaks at the end.
+    /// Waits until the user confirms the next step. Breaks if the recovery ends.
     fn wait(&self) -> ControlFlow<()> {
         let mut state = self.lock();
         let until = Instant::now() + IDLE;
         loop {
             if state.end.is_some() {
-                // a step that was agreed to is not made any more
+                // a confirmed step is no longer executed
                 state.agreed = None;
                 return ControlFlow::Break(());
             }
@@ -128,8 +129,8 @@ impl Recovery {
     }
 }
 
-/// Recovers a robot over a new session, a step for each [agreement](Recovery::agree). In the end the motor that was switched on
-/// is off again, and the arm is free.
+/// Recovers a robot over a new session, one step for each [confirmation](Recovery::agree). At the end a motor that was switched
+/// on is off again, and the arm is free.
 pub fn run(access: &Access, recovery: &Recovery) {
     let panicked =
         |_| Ok(Err("IT IS UNKNOWN whether the motor is off and the arm is free: the recovery panicked".into()));
@@ -143,7 +144,7 @@ pub fn run(access: &Access, recovery: &Recovery) {
     });
 }
 
-/// Plans the steps, and makes them. Fails if nothing was changed; the inner error is what went wrong later.
+/// Plans the steps, and executes them. Fails if nothing was changed; the inner error is a later failure.
 fn perform(access: &Access, recovery: &Recovery) -> Result<Result<&'static str, String>, Error> {
     let mut controller = Link::for_motion(access)?;
     let state = controller.robot()?.examine()?;
@@ -160,14 +161,14 @@ fn perform(access: &Access, recovery: &Recovery) -> Result<Result<&'static str, 
     Ok(make(&mut controller, recovery, state.steps(false).collect()))
 }
 
-/// Makes the steps of the plan, and gives the arm back.
+/// Executes the steps of the plan, and gives the arm back.
 fn make(controller: &mut Controller, recovery: &Recovery, plan: RecoveryStepSet) -> Result<&'static str, String> {
-    // the person has agreed that no other program uses the robot
+    // the user has confirmed that no other program uses the robot
     let config = RecoveryConfig { is_alone: true, speed: None, agreed: Some(plan) };
     let made = controller.make_ready(Some(config), |step, result| recovery.made(step, result)).map(Arm::keep);
     let is_unsettled = matches!(&made, Err(bcap_std::Error::NotRecovered(ended)) if ended.error.unsettled);
     let made = match made {
-        // between two steps, for the reason that the caller has
+        // between two steps, for the reason of the caller
         Err(bcap_std::Error::NotRecovered(ended)) if is_stopped(&ended) => Ok(()),
         Err(error @ bcap_std::Error::NoReply { .. }) => {
             Err(format!("IT IS UNKNOWN whether the step was made: {error}"))
@@ -205,7 +206,7 @@ mod tests {
         assert_eq!(recovery.agree("Motor"), Err("Motor is not the next step; nothing was done".into()));
         recovery.agree("ClearError").unwrap();
         assert!(recovery.agree("ClearError").unwrap_err().contains("wait a moment"));
-        // the controller is asked who owns the arm before its errors are cleared
+        // the owner of the arm is queried before the errors are cleared
         assert_eq!(recovery.made(RecoveryStep::TakeArm, Ok(())), ControlFlow::Continue(()));
         recovery.end("HALT was pressed");
         assert_eq!(recovery.made(RecoveryStep::ClearError, Ok(())), ControlFlow::Break(()));

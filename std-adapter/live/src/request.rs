@@ -1,4 +1,4 @@
-//! A call of any function that a user has written, and the effect that it has.
+//! A call of any function as written by a user, and its effect.
 
 use std::fmt;
 
@@ -51,7 +51,7 @@ impl Request {
     ///
     /// # Errors
     ///
-    /// A sentence with what is wrong.
+    /// A sentence with the fault.
     pub fn parse(function: &str, arguments: &[String]) -> Result<Self, String> {
         let function = FunctionId::parse(function).ok_or_else(|| format!("there is no function {function}"))?;
         let kinds = function.signature().map(|signature| signature.arguments).unwrap_or_default();
@@ -90,7 +90,7 @@ impl Request {
         value.as_variant().as_bstr().map(|text| text.to_string())
     }
 
-    /// Returns the effect, the strongest if a command, an option or a variable is unknown.
+    /// Returns the effect; the strongest possible effect if a command, an option or a variable is unknown.
     #[must_use]
     pub fn effect(&self) -> Effect {
         let writes_system = || match self.arguments.first() {
@@ -104,7 +104,7 @@ impl Request {
         self.function.properties(self.text(1).as_deref(), self.text(2).as_deref()).effect
     }
 
-    /// Makes the call, unless it would end a stream. A refusal is a reply. `may` is asked directly before the call, after the
+    /// Makes the call, unless it would end a stream. A refusal is a reply. `may` is called directly before the call, after the
     /// objects are open.
     ///
     /// # Errors

@@ -1,8 +1,8 @@
 //! The check before a call that would end a stream of Slave Mode.
 //!
-//! On a real controller a call that Slave Mode refuses ends Slave Mode, even when another client sends it. So a program
-//! that only reads asks for the mode first, and skips what Slave Mode refuses. A stream may begin between the question
-//! and the call; only its end could prevent that.
+//! On a real controller a call that Slave Mode refuses ends Slave Mode, even when another client sends it. So a program that
+//! only reads queries the mode first, and skips calls that Slave Mode refuses. A stream may still begin between the query and
+//! the call; this cannot be prevented.
 
 use bcap_core::bcap::{FunctionId, Object, StreamState};
 use bcap_core::hresult::HResult;
@@ -14,12 +14,13 @@ use crate::calls::{Calls, Failure};
 /// Checks calls before they are sent.
 #[derive(Debug, Default)]
 pub struct StreamCheck {
-    /// Whether the controller has said that it has no Slave Mode. It is not asked again: a refusal may be an entry in its log.
+    /// Whether the controller has reported that it has no Slave Mode. The query is not repeated, because a refusal may be an
+    /// entry in its log.
     is_absent: bool,
 }
 
 impl StreamCheck {
-    /// Asks the controller whether a stream of Slave Mode runs.
+    /// Queries whether a stream of Slave Mode runs.
     ///
     /// # Errors
     ///
@@ -44,7 +45,7 @@ impl StreamCheck {
         Ok(state)
     }
 
-    /// Returns why a call must not be sent; `None` if it may. Calls that Slave Mode allows need no question.
+    /// Returns why a call must not be sent; `None` if it may. Calls that Slave Mode allows need no query.
     ///
     /// # Errors
     ///
@@ -78,7 +79,7 @@ impl StreamCheck {
         self.skip(calls, function, command)?.map_or(Ok(()), |message| Err(C::Error::skipped(message)))
     }
 
-    /// Fails if an object is not open, and a function that opens it must not be called.
+    /// Fails if an object is not open and must not be opened now.
     ///
     /// # Errors
     ///
@@ -98,8 +99,8 @@ impl StreamCheck {
     }
 }
 
-/// A session whose calls fail with [`Failure::skipped`] where they would end a stream of Slave Mode. It asks before each call
-/// that Slave Mode does not allow.
+/// A session whose calls fail with [`Failure::skipped`] where they would end a stream of Slave Mode. It queries the mode before
+/// each call that Slave Mode does not allow.
 #[derive(Debug)]
 pub struct CheckedCalls<'a, C> {
     calls: &'a mut C,

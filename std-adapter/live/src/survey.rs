@@ -1,4 +1,4 @@
-//! How a controller answers some 100 calls that only read, and the report about that.
+//! A survey of a controller's answers to some 100 calls that only read, and its report.
 
 pub mod report;
 
@@ -20,9 +20,9 @@ const CALLS: &str = include_str!("survey/calls.txt");
 /// The size of a survey.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// How often each call is made.
+    /// The number of times that each call is made.
     pub rounds: u32,
-    /// The longest time of all calls.
+    /// The maximum time for all calls together.
     pub within: Duration,
     /// The time between two calls.
     pub pause: Duration,
@@ -46,7 +46,7 @@ pub enum Answer {
 pub struct Row {
     /// The object and the call, as in the list.
     pub name: String,
-    /// The first answer. Later ones may differ, because the controller works meanwhile.
+    /// The first answer. Later answers may differ, because the controller's state changes.
     pub answer: Answer,
     /// The layouts of later answers that differ from the first.
     pub others: Vec<String>,
@@ -54,7 +54,7 @@ pub struct Row {
     pub value: Option<OwnedVariant>,
     /// The round trips.
     pub times: Times,
-    /// How often the call was made.
+    /// The number of times that the call was made.
     pub count: u32,
 }
 
@@ -94,7 +94,7 @@ impl Row {
 pub struct Survey {
     /// The calls, in the order in which they are made.
     pub rows: Vec<Row>,
-    /// Why not all calls were made in all rounds.
+    /// The reason if not all calls were made in all rounds.
     pub ended: Option<String>,
 }
 

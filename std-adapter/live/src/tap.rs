@@ -25,7 +25,7 @@ pub struct Tap(Arc<Mutex<TapState>>);
 struct TapState {
     running: Option<Running>,
     last: Option<Outcome>,
-    /// How many recordings were started.
+    /// The number of recordings that were started.
     count: u64,
 }
 
@@ -64,8 +64,8 @@ impl Tap {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Starts a recording to a new file, of about `limit` bytes at most. It waits for the disk. Of several calls at the same time
-    /// one starts a recording.
+    /// Starts a recording to a new file, of about `limit` bytes at most. It waits for the disk. Of several simultaneous calls
+    /// only one starts a recording.
     ///
     /// # Errors
     ///
@@ -106,7 +106,8 @@ impl Tap {
         Some(outcome)
     }
 
-    /// Returns how many recordings were started. A session that was opened before a recording lacks its beginning there.
+    /// Returns the number of recordings that were started. If a session was opened before a recording, the recording lacks its
+    /// beginning.
     #[must_use]
     pub fn count(&self) -> u64 {
         self.lock().count
@@ -133,7 +134,7 @@ impl Tap {
 }
 
 impl TapState {
-    /// Ends a recording that cannot go on.
+    /// Ends a recording that cannot continue.
     fn check(&mut self) {
         let Some(running) = &self.running else { return };
         let size = running.size.load(Ordering::Relaxed);
@@ -148,7 +149,8 @@ impl TapState {
             return;
         };
         let Some(Running { recording, file, .. }) = self.running.take() else { return };
-        // a thread that has ended is not waited for; another one writes its queue
+        // `finish` blocks, except after a failure of the thread; a running thread writes the rest of its queue in the
+        // background
         let written = if failed { recording.finish().map_err(|error| error.to_string()) } else { Ok(()) };
         self.last = Some((file, written.and(Err(why))));
     }
@@ -242,7 +244,7 @@ mod tests {
         }
     }
 
-    /// Starts a recording to a FIFO, whose reader goes away at the end of `reads`.
+    /// Starts a recording to a FIFO, whose reader closes it at the end of `reads`.
     #[cfg(unix)]
     fn to_fifo(folder: &Path, reads: impl FnOnce(File) + Send + 'static) -> (Tap, std::thread::JoinHandle<()>) {
         let fifo = folder.join("fifo");

@@ -26,12 +26,12 @@ impl Packet {
     }
 }
 
-/// The last packets. Packets of an earlier connection are kept until there is another one.
+/// The last packets. Packets of an earlier connection are kept until a new connection is opened.
 #[derive(Debug, Default)]
 pub struct Tape {
     packets: VecDeque<Packet>,
     size: usize,
-    /// How many packets at the front are of an earlier connection.
+    /// The number of packets at the front that belong to an earlier connection.
     older: usize,
     ends: Option<Ends>,
 }
@@ -51,7 +51,7 @@ impl Tape {
         self.older = 0;
     }
 
-    /// Adds a packet, and drops the oldest ones above 4 MiB and above 20,000 packets.
+    /// Adds a packet, and drops the oldest packets above 4 MiB and above 20,000 packets.
     pub fn push(&mut self, role: Role, bytes: &[u8]) {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let at = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX);
@@ -81,7 +81,8 @@ impl Tape {
         found
     }
 
-    /// Returns the packets of the present connection, or of the last one, as a pcapng file; `None` before the first connection.
+    /// Returns the packets of the current connection, or of the last connection, as a pcapng file; `None` before the first
+    /// connection.
     ///
     /// # Errors
     ///

@@ -54,7 +54,7 @@ pub fn value<C: Calls>(calls: &mut C, check: &mut StreamCheck, path: &ObjectPath
 /// The maximum number of variables of a kind: an index has 16 bits.
 const LONGEST: u32 = 1 << 16;
 
-/// Returns the names of all selected variables, in order; asks the controller how many variables a kind has.
+/// Returns the names of all selected variables, in order; reads the number of variables of a kind from the controller.
 ///
 /// # Errors
 ///
@@ -79,8 +79,8 @@ pub fn count<C: Calls>(calls: &mut C, kind: VariableKind) -> Result<u32, C::Erro
     })
 }
 
-/// Returns whether a variable is one of the system's, such as `@SERVO_ON` or `@START`, whose write may switch the motor or
-/// start a program. A controller may ignore blanks around its name.
+/// Returns whether a variable is a system variable, such as `@SERVO_ON` or `@START`, whose write may switch the motor or start
+/// a program. A controller may ignore blanks around its name.
 #[must_use]
 pub fn is_system_variable(path: &ObjectPath) -> bool {
     path.split_last().and_then(|(_, name)| name).is_some_and(|name| name.trim().starts_with('@'))
@@ -89,10 +89,10 @@ pub fn is_system_variable(path: &ObjectPath) -> bool {
 /// The variables that identify a virtual controller, with their values.
 const VIRTUAL: [(&str, &str); 2] = [("@FIRMWARE", "bcap-sim"), ("@SERIAL_NO", "VIRTUAL")];
 
-/// Returns whether the controller says beyond doubt that it is a virtual one.
+/// Returns whether the controller reports beyond doubt that it is virtual.
 ///
-/// It is one only if it says so twice, with the firmware of the simulator and the serial number that no real controller has. Any
-/// other answer means a real controller.
+/// It counts as virtual only with two proofs: the firmware of the simulator, and the serial number that no real controller has.
+/// Any other answer means a real controller.
 ///
 /// # Errors
 ///
@@ -108,7 +108,7 @@ pub fn is_virtual<C: Calls>(calls: &mut C) -> Result<bool, C::Error> {
     Ok(true)
 }
 
-/// Reads a list of names. A reply that is not a list of strings is an error, so no list is shown in part.
+/// Reads a list of names. A reply that is not a list of strings is an error, so no list is shown partly.
 ///
 /// # Errors
 ///

@@ -1,4 +1,4 @@
-//! Writing a variable in two steps, so that a user sees the old value and the new one first.
+//! Writing a variable in two steps, so that a user sees the old value and the new value first.
 
 use bcap_capture::value::data;
 use bcap_core::bcap::FunctionId;
@@ -20,12 +20,12 @@ pub struct Write {
     pub before: OwnedVariant,
 }
 
-/// Converts text to the type of a variable, and reads its present value.
+/// Converts text to the type of a variable, and reads its current value.
 ///
 /// # Errors
 ///
-/// [`Failure::invalid`] if the text is no value of that type, [`Failure::skipped`] if reading the value would end a stream of Slave
-/// Mode, or the error of a call.
+/// [`Failure::invalid`] if the text is not a value of that type, [`Failure::skipped`] if reading the value would end a stream
+/// of Slave Mode, or the error of a call.
 pub fn check<C: Calls>(calls: &mut C, name: &str, text: &str) -> Result<Write, C::Error> {
     let path = ObjectPath::variable(name)?;
     let before = value(calls, &mut StreamCheck::default(), &path)?;
@@ -62,11 +62,11 @@ impl Write {
         calls.call(&self.path.to_string(), FunctionId::VARIABLE_PUT_VALUE, &arguments).map(drop)
     }
 
-    /// Writes the value if the variable still has the value that it had when it was checked.
+    /// Writes the value if the variable still has the value from the check.
     ///
     /// # Errors
     ///
-    /// [`Failure::invalid`] if the variable has changed; as [`perform`](Self::perform).
+    /// [`Failure::invalid`] if the variable has changed; otherwise same as [`perform`](Self::perform).
     pub fn perform_unless_changed<C: Calls>(&self, calls: &mut C) -> Result<(), C::Error> {
         let present = value(calls, &mut StreamCheck::default(), &self.path)?;
         if present != self.before {

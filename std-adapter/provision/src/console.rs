@@ -11,9 +11,9 @@ use bcap_board::slots::TEXT;
 
 use crate::error::Error;
 
-/// The longest wait for bytes before the time limit is checked.
+/// The maximum wait for bytes before the time limit is checked.
 const LOOK: Duration = Duration::from_millis(20);
-/// The longest line that a board sends; more bytes belong to something else.
+/// The maximum length of a line from a board; a longer line is not from a board.
 const MAX_LINE: usize = 4096;
 /// No board has more settings: each has a line feed in [`TEXT`] bytes.
 const MAX_SETTINGS: usize = TEXT;
@@ -48,7 +48,7 @@ impl fmt::Debug for Console {
 pub struct Answer {
     /// The last line, which starts with `ok` or `error`.
     pub text: String,
-    /// The settings before it, if the request was `show`.
+    /// The settings that preceded it, if the request was `show`.
     pub settings: Vec<String>,
 }
 
@@ -72,7 +72,7 @@ impl Console {
     ///
     /// # Errors
     ///
-    /// [`Error::Connection`] if there is no such port or host, [`Error::Timeout`] if no board answers.
+    /// [`Error::Connection`] if the port or host does not exist, [`Error::Timeout`] if no board answers.
     pub fn open(name: &str, baud: u32, timeout: Duration) -> Result<Self, Error> {
         let stream: Box<dyn Stream> = match name.strip_prefix("tcp:") {
             Some(host) => Box::new(connect(host, timeout)?),
@@ -93,7 +93,7 @@ impl Console {
         self.is_network
     }
 
-    /// Skips the answers to earlier requests, even of an earlier program, and the log of a board.
+    /// Skips the answers to earlier requests, including requests of an earlier program, and the log of a board.
     pub(crate) fn skip_answers(&mut self) -> Result<(), Error> {
         // the first line feed ends a line that an earlier program may have begun
         self.send("\nhello\n")?;
@@ -134,7 +134,7 @@ impl Console {
             match self.line(deadline) {
                 Ok(line) if line == stored => return Ok(None),
                 Ok(line) => {
-                    // others are the log of the board, or answers to a block that was sent twice
+                    // other lines are the log of the board, or answers to a block that was sent twice
                     if let Some(reason) = line.strip_prefix("error ") {
                         return Ok(Some(reason.to_owned()));
                     }
@@ -152,7 +152,7 @@ impl Console {
     /// Receives a line; bytes that are not UTF-8 are replaced.
     fn line(&mut self, deadline: Instant) -> Result<String, Error> {
         loop {
-            // first, because a device that is no board may send lines without end
+            // first, because a device that is not a board may send lines endlessly
             if Instant::now() >= deadline {
                 return Err(Error::Timeout {
                     message: format!("no answer from a board at {} within {} ms", self.name, self.timeout.as_millis()),

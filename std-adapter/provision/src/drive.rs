@@ -10,11 +10,11 @@ use crate::elf;
 use crate::error::Error;
 use crate::uf2::{self, Image};
 
-/// The file of a boot ROM's drive that tells the chip.
+/// The file on a boot ROM's drive that identifies the chip.
 const INFO: &str = "INFO_UF2.TXT";
-/// The longest such file that is read.
+/// The maximum size of this file.
 const MOST_INFO: usize = 4096;
-/// The pause between two looks at the drive.
+/// The interval at which the drive is polled.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Reads an image for a drive: a UF2 file, or an ELF file.
@@ -59,11 +59,11 @@ pub fn flatten(path: &Path) -> Result<(u32, Vec<u8>), Error> {
     })
 }
 
-/// Checks that the chip of a drive is the one of the image.
+/// Checks that a drive has the chip of the image.
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] if the folder is no drive of a boot ROM, or one of another chip.
+/// [`Error::Refused`] if the folder is not a boot ROM's drive, or the drive of another chip.
 pub fn check(drive: &Path, image: &Image) -> Result<(), Error> {
     let hint = "hold BOOTSEL while you plug in the USB cable, and give the folder where the drive is mounted";
     let board_id = board_id(drive).map_err(|error| {
@@ -109,7 +109,7 @@ fn only(drives: &[PathBuf]) -> Result<PathBuf, Error> {
     }
 }
 
-/// Returns the board id that the boot ROM tells.
+/// Returns the board ID that the boot ROM reports.
 fn board_id(drive: &Path) -> io::Result<String> {
     let mut text = Vec::new();
     io::Read::read_to_end(&mut io::Read::take(File::open(drive.join(INFO))?, MOST_INFO as u64), &mut text)?;
@@ -118,11 +118,11 @@ fn board_id(drive: &Path) -> io::Result<String> {
     id.map(|id| id.trim().to_owned()).ok_or_else(|| io::Error::other("it has no line Board-ID"))
 }
 
-/// Writes a UF2 file, and waits until the drive is gone, because the board has restarted; returns whether that was seen.
+/// Writes a UF2 file, and waits until the drive disappears, because the board has restarted; returns whether it disappeared.
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] if the file could not be written within the time.
+/// [`Error::Refused`] if the file could not be written in time.
 pub fn write(drive: &Path, contents: &[u8], timeout: Duration) -> Result<bool, Error> {
     let path = drive.join("BCAP.UF2");
     let is_gone = || !drive.join(INFO).exists();
@@ -164,7 +164,7 @@ fn mounted() -> Vec<PathBuf> {
     ('A'..='Z').map(|letter| PathBuf::from(format!("{letter}:\\"))).collect()
 }
 
-/// Returns the folders of file systems FAT in a table of mounts, in which blanks of a name are `\040`.
+/// Returns the folders of FAT file systems in a mount table, which has `\040` for blanks in a name.
 #[cfg(any(target_os = "linux", test))]
 fn of_table(table: &str) -> Vec<PathBuf> {
     let folder = |line: &str| {

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-/// The longest image; a wrong address in a file must not allocate gigabytes.
+/// The maximum size of an image; a wrong address in a file must not allocate gigabytes.
 const MOST: u32 = 64 << 20;
 
-/// Returns whether a file is ELF.
+/// Returns whether a file is an ELF file.
 #[must_use]
 pub fn is_elf(file: &[u8]) -> bool {
     file.starts_with(b"\x7fELF")
@@ -74,7 +74,7 @@ fn half(bytes: &[u8], at: usize) -> Option<u16> {
 mod tests {
     use super::*;
 
-    /// Makes a file with these segments: kind, address, contents.
+    /// Creates a file with these segments: kind, address, contents.
     fn file(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
         let mut header = b"\x7fELF\x01\x01".to_vec();
         header.resize(52, 0);

@@ -12,7 +12,7 @@ pub enum Error {
     /// A file, a setting or a key is invalid. Nothing was sent.
     #[error("{0}")]
     Invalid(String),
-    /// The board or the drive has refused a request, or is not the right one.
+    /// The board or the drive refused a request, or is the wrong one.
     #[error("{message}")]
     Refused {
         /// The request and the reason.

@@ -1,4 +1,4 @@
-//! The images that a board takes as updates.
+//! The images that a board accepts as updates.
 
 use std::fs;
 use std::path::Path;
@@ -10,11 +10,11 @@ use crate::elf;
 use crate::error::Error;
 use crate::uf2;
 
-/// Reads an image, which is an ELF file or a binary, and the board that it is for.
+/// Reads an image, which is an ELF file or a binary, and its target board.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if the file cannot be read, is damaged, or is no image for updates.
+/// [`Error::Invalid`] if the file cannot be read, is damaged, or is not an image for updates.
 pub fn read(path: &Path) -> Result<(Vec<u8>, Identity), Error> {
     let invalid = |reason: &str| Error::at(path, reason);
     let file = fs::read(path).map_err(|error| invalid(&error.to_string()))?;

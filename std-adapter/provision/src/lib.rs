@@ -2,17 +2,17 @@
 //!
 //! | module        | contents                                                             |
 //! |---------------|----------------------------------------------------------------------|
-//! | [`search`]    | the boards of a network, by broadcasts                               |
+//! | [`search`]    | finds the boards of a network by broadcasts                          |
 //! | [`console`]   | requests to a board over a serial port or TCP                        |
 //! | [`settings`]  | checked settings, and their replacement                              |
-//! | [`image`]     | the images that a board takes as updates                             |
+//! | [`image`]     | the images that a board accepts as updates                           |
 //! | [`signature`] | the keys and signatures of images                                    |
-//! | [`update`]    | an image on its way to a board                                       |
+//! | [`update`]    | sends an image to a board                                            |
 //! | [`elf`]       | the bytes that an ELF file puts into the flash                       |
 //! | [`uf2`]       | the files that the boot ROMs of the RP2040 and the RP2350 take       |
 //! | [`drive`]     | a board in boot mode, which is a drive                               |
 //!
-//! All of it blocks. Nothing is sent before files and settings are checked.
+//! All functions block. Nothing is sent before files and settings are checked.
 //!
 //! # Examples
 //!

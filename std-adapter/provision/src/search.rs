@@ -1,4 +1,4 @@
-//! Asks the boards of a network for their addresses ([`bcap_board::find`]).
+//! Finds the boards of a network and their addresses ([`bcap_board::find`]).
 
 use std::collections::BTreeMap;
 use std::io::{self, ErrorKind};
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use bcap_board::find::{Found, PORT, REQUEST, request};
 use if_addrs::IfAddr;
 
-/// How often each request is sent, because a datagram can be lost.
+/// The number of times that each request is sent, because a datagram can be lost.
 const TIMES: u32 = 3;
 
 /// A board that has answered.
@@ -32,12 +32,12 @@ pub struct Board {
 /// The boards by the addresses that they answered from.
 pub type Boards = BTreeMap<SocketAddr, Board>;
 
-/// Returns the addresses to ask: boards or broadcast addresses (`HOST[:PORT]`), or without any the broadcast address of each network of
-/// this computer.
+/// Returns the addresses to query: boards or broadcast addresses (`HOST[:PORT]`), or, if `hosts` is empty, the broadcast
+/// address of each network of this computer (255.255.255.255 if it has none).
 ///
 /// # Errors
 ///
-/// A name without an address, or a computer without a network.
+/// A name without an address, or a failure to list the networks of this computer.
 pub fn targets(hosts: &[String]) -> io::Result<Vec<SocketAddr>> {
     if hosts.is_empty() {
         let broadcast = |interface: &if_addrs::Interface| match &interface.addr {
@@ -56,11 +56,11 @@ pub fn targets(hosts: &[String]) -> io::Result<Vec<SocketAddr>> {
     Ok(targets)
 }
 
-/// Sends the requests, and collects the answers until the time is over.
+/// Sends the requests, and collects the answers until the time expires.
 ///
 /// # Errors
 ///
-/// A network that cannot be asked.
+/// A network that cannot be queried.
 pub fn ask(targets: &[SocketAddr], limit: Duration) -> io::Result<Boards> {
     let mut number = [0; 8];
     getrandom::fill(&mut number).map_err(|error| io::Error::other(error.to_string()))?;
@@ -70,11 +70,11 @@ pub fn ask(targets: &[SocketAddr], limit: Duration) -> io::Result<Boards> {
     let mut boards = Boards::new();
     for turn in 1..=TIMES {
         let sent: Vec<_> = targets.iter().map(|target| socket.send_to(&request(number), target)).collect();
-        // a network that is down does not keep the others from being asked
+        // a network that is down does not prevent requests to other networks
         if sent.iter().all(Result::is_err) {
             sent.into_iter().collect::<io::Result<Vec<_>>>()?;
         }
-        // a third of the time for each turn, so the last one has its time as well
+        // a third of the time for each round, so that answers to the last round are received too
         collect(&socket, number, start + limit * turn / TIMES, &mut boards)?;
     }
     Ok(boards)
@@ -96,7 +96,7 @@ fn collect(socket: &UdpSocket, number: [u8; 8], end: Instant, boards: &mut Board
             }
             Err(error)
                 if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
-            // a host that is no board refused the datagram
+            // a host that is not a board refused the datagram
             Err(error) if error.kind() == ErrorKind::ConnectionRefused => {}
             Err(error) => return Err(error),
         }

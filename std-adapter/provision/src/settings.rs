@@ -14,12 +14,12 @@ use crate::error::Error;
 /// The hint after a refused change.
 const UNCHANGED: &str = "the settings of the board are unchanged";
 
-/// Reads and checks settings: `KEY=VALUE`, or `@FILE` with one on each line and comments after `#`. In the result each ends with a line
-/// feed.
+/// Reads and checks settings: `KEY=VALUE`, or `@FILE` with one setting on each line and comments after `#`. In the result each
+/// setting ends with a line feed.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] with the first setting that a board would not take.
+/// [`Error::Invalid`] with the first setting that a board would refuse.
 pub fn read(arguments: &[String]) -> Result<String, Error> {
     let mut settings = String::new();
     let mut add = |line: &str| settings.extend([line, "\n"]);
@@ -57,12 +57,12 @@ pub fn request(console: &mut Console, request: &str) -> Result<Answer, Error> {
     Ok(answer)
 }
 
-/// Replaces the settings of a board by those of [`read`], and calls `accepted` with each request that the board has accepted. The
-/// settings change with the last request, so an earlier failure changes nothing.
+/// Replaces the settings of a board by the result of [`read`], and calls `accepted` with each request that the board has
+/// accepted. The settings change with the last request, so an earlier failure changes nothing.
 ///
 /// # Errors
 ///
-/// As [`request`], and the errors of `accepted`.
+/// Same as [`request`], plus the errors of `accepted`.
 pub fn replace<E: From<Error>>(
     console: &mut Console,
     settings: &str,

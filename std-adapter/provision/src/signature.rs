@@ -20,7 +20,7 @@ impl fmt::Debug for Key {
 }
 
 impl Key {
-    /// Makes a key, and writes it into a file that does not exist yet, and that only its owner can read.
+    /// Creates a key, and writes it to a new file that only its owner can read.
     ///
     /// # Errors
     ///
@@ -57,7 +57,7 @@ impl Key {
     }
 }
 
-/// The signature of an image: its SHA-512, and the signature of this and the image's name.
+/// The signature of an image: its SHA-512, and the signature of that hash and the image's name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Signature {
     digest: [u8; SIGNATURE],
@@ -79,7 +79,7 @@ impl Signature {
     ///
     /// # Errors
     ///
-    /// [`Error::Invalid`] if the file cannot be read, has no signature, or one of another image.
+    /// [`Error::Invalid`] if the file cannot be read, has no signature, or has the signature of another image.
     pub fn of_file(image: &[u8], identity: &Identity, path: &Path) -> Result<Self, Error> {
         let text = fs::read_to_string(path).map_err(|error| Error::at(path, error))?;
         let parts =

@@ -6,9 +6,9 @@
 //!
 //! Each block has 512 bytes, and all numbers have 32 bits. The payload of these files has 256 bytes, a page of the flash.
 
-/// Where the processor sees the flash.
+/// The address of the flash in the processor's memory map.
 const FLASH: u32 = 0x1000_0000;
-/// The largest flash that both chips address.
+/// The maximum flash size that both chips address.
 const FLASH_SIZE: usize = 16 << 20;
 const BLOCK: usize = 512;
 const PAGE: usize = 256;
@@ -16,7 +16,7 @@ const PAYLOAD_AT: usize = 32;
 
 const START: [u32; 2] = [0x0a32_4655, 0x9e5d_5157];
 const END: u32 = 0x0ab1_6f30;
-/// The block has a family, and belongs into the flash.
+/// The block has a family, and is for the flash.
 const HAS_FAMILY: u32 = 0x2000;
 const IS_NOT_FOR_FLASH: u32 = 1;
 
@@ -24,7 +24,7 @@ const IS_NOT_FOR_FLASH: u32 = 1;
 const PICOBIN: u32 = 0xffff_ded3;
 const PICOBIN_RANGE: usize = 4096;
 
-/// Returns whether a file begins as a UF2 file does.
+/// Returns whether a file begins like a UF2 file.
 pub(crate) fn is_uf2(file: &[u8]) -> bool {
     file.starts_with(&START[0].to_le_bytes())
 }
@@ -80,7 +80,7 @@ impl Chip {
     }
 }
 
-/// Contents of the flash, and the chip that they are for.
+/// Contents of the flash, and their target chip.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Image {
@@ -95,7 +95,7 @@ impl Image {
     ///
     /// # Errors
     ///
-    /// The reason, if no boot ROM starts them.
+    /// The reason why the boot ROM does not start them.
     pub fn new(start: u32, bytes: Vec<u8>) -> Result<Self, String> {
         if start != FLASH || bytes.len() > FLASH_SIZE {
             return Err(format!(

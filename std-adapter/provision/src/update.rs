@@ -1,4 +1,4 @@
-//! An image on its way to a board: announced, perhaps signed, sent in blocks, and installed with the next start.
+//! Sends an image to a board: announced, optionally signed, sent in blocks, and installed at the next start.
 
 use bcap_board::crc::Crc32;
 use bcap_board::identity::{BLOCK, Identity};
@@ -7,12 +7,12 @@ use crate::console::{Answer, Console};
 use crate::error::Error;
 use crate::signature::{Signature, digits};
 
-/// How often a block is sent before the update ends.
+/// The maximum number of times that a block is sent; then the update ends.
 const ATTEMPTS: u32 = 5;
 /// The hint after a refused update.
 const IMAGE_REMAINS: &str = "the board runs its earlier image";
 
-/// Returns the version of a board and what became of its last update, in the words of the board.
+/// Returns the version of a board and the outcome of its last update, in the words of the board.
 ///
 /// # Errors
 ///
@@ -43,7 +43,7 @@ pub fn check_settings(console: &mut Console) -> Result<(), Error> {
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] if the board does not take it: another board, an older version, no or another key.
+/// [`Error::Refused`] if the board does not accept it: another board, an older version, a missing or another key.
 pub fn announce(
     console: &mut Console,
     image: &[u8],
@@ -60,7 +60,7 @@ pub fn announce(
     Ok(())
 }
 
-/// Sends the image in blocks, calls `sent` with the bytes so far, and returns how many blocks were sent again.
+/// Sends the image in blocks, calls `sent` with the number of sent bytes, and returns the number of repeated blocks.
 ///
 /// # Errors
 ///
@@ -84,11 +84,11 @@ pub fn send(console: &mut Console, image: &[u8], mut sent: impl FnMut(usize)) ->
     Ok(repeated)
 }
 
-/// Has the board check the whole image, and swap the images at its next start.
+/// Makes the board check the whole image, and swap the images at its next start.
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] if the image is not complete or its signature is not by the key of the board.
+/// [`Error::Refused`] if the image is not complete or its signature was not made with the board's key.
 pub fn install(console: &mut Console) -> Result<(), Error> {
     // answers to blocks that were sent twice
     console.skip_answers()?;
@@ -107,7 +107,7 @@ pub fn restart(console: &mut Console) -> Result<(), Error> {
 /// Sends a request; fails if the board refuses it.
 fn ask(console: &mut Console, request: &str) -> Result<Answer, Error> {
     let answer = console.ask(request)?;
-    // an image older than updates, or one without them
+    // an image that predates updates, or was built without them
     if answer.text.starts_with("error unknown request") {
         return Err(Error::refused(
             "the board cannot be updated: its image was built without updates",

@@ -49,7 +49,7 @@ enum Record {
     End(Totals),
 }
 
-/// A line of a client, and how it was answered.
+/// A line of a client, and its answer.
 #[derive(Debug, Serialize)]
 struct Answer {
     client: String,
@@ -109,7 +109,7 @@ impl Total {
     }
 }
 
-/// Returns why a client was not served.
+/// Returns the reason why a client was not served.
 const fn denial(reason: Denial) -> &'static str {
     match reason {
         Denial::Address => "the rules do not allow this address to connect",
@@ -139,7 +139,7 @@ pub struct Audit {
     /// The robot's address.
     robot: String,
     log: Log,
-    /// The times of all answers, even of answers that are not written.
+    /// The times of all answers, including answers that are not logged.
     served: Times,
     failed: Times,
     throttle: Throttle<IpAddr>,

@@ -1,7 +1,7 @@
 //! A log of events: one JSON object a line, each with its time in UTC.
 //!
-//! A thread writes the lines. If the reader stalls or the disk is full, lines are dropped and counted; this never delays
-//! the program. An event `dropped` has their number as soon as there is room again, or at the end. Characters that act on a
+//! A thread writes the lines. If the reader stalls or the disk is full, lines are dropped and counted; this never delays the
+//! program. An event `dropped` reports their number as soon as there is room again, or at the end. Characters that act on a
 //! terminal are escaped.
 
 use std::fmt;
@@ -19,7 +19,7 @@ use serde::Serialize;
 /// The maximum number of lines that wait for the writer.
 const BACKLOG: usize = 4096;
 
-/// The longest time that the end waits for the writer.
+/// The maximum wait for the writer at the end.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// An event with its time.
@@ -41,7 +41,7 @@ enum Loss {
 #[derive(Debug)]
 pub struct Log {
     lines: SyncSender<String>,
-    /// The lines without room in the queue that no event has told yet.
+    /// The number of dropped lines that no event has reported yet.
     dropped: Arc<AtomicU64>,
 }
 
@@ -97,7 +97,7 @@ impl Writer {
     }
 }
 
-/// Writes lines until there are no more, or the pipe has no reader. `dropped` counts lines without room in the queue.
+/// Writes lines until there are no more, or the pipe has no reader. `dropped` counts lines for which the queue had no room.
 fn write(output: impl Write, lines: &Receiver<String>, dropped: &AtomicU64) {
     let (mut output, mut lost) = (Output { output, is_torn: false }, 0);
     loop {
@@ -128,12 +128,12 @@ fn write(output: impl Write, lines: &Receiver<String>, dropped: &AtomicU64) {
 /// The output of a log.
 struct Output<W> {
     output: W,
-    /// Whether the last line was cut off.
+    /// Whether the last line was truncated.
     is_torn: bool,
 }
 
 impl<W: Write> Output<W> {
-    /// Writes a line in one piece, so that a rotation does not split it. After a line that was cut off it begins a new one.
+    /// Writes a line in one piece, so that a rotation does not split it. After a truncated line it begins a new line.
     fn put(&mut self, line: &str) -> io::Result<()> {
         let text = format!("{}{line}\n", if self.is_torn { "\n" } else { "" });
         let mut left = text.as_bytes();
@@ -152,14 +152,14 @@ impl<W: Write> Output<W> {
     }
 }
 
-/// Prints a warning on the standard error. `eprintln` would end the thread by a panic if that is full or closed.
+/// Prints a warning on the standard error. `eprintln` would panic and end the thread if the standard error is full or closed.
 pub(crate) fn warn(what: fmt::Arguments<'_>) {
-    // an error of the standard error cannot be reported
+    // if the standard error fails, that cannot be reported
     let _ = writeln!(io::stderr(), "warning: {what}");
 }
 
 fn text(event: &impl Serialize) -> String {
-    // strings and numbers have no way to fail
+    // strings and numbers cannot fail
     escape::json(&serde_json::to_string(&Stamped { time: utc(), event }).unwrap_or_default())
 }
 
@@ -175,7 +175,7 @@ pub fn utc() -> String {
 mod tests {
     use super::*;
 
-    /// A disk that takes a number of bytes, and then refuses some writes.
+    /// A disk that accepts a number of bytes, and then refuses some writes.
     struct Disk {
         written: Vec<u8>,
         free: usize,
@@ -215,7 +215,7 @@ mod tests {
             matches!(&lines[..], [dropped, three] if dropped.contains("\"lines\":2}") && three == "three"),
             "{lines:?}"
         );
-        // a line that was cut off does not spoil the next one
+        // a truncated line does not corrupt the next line
         let lines = written(Disk { written: Vec::new(), free: 5, full_for: 1 }, 0);
         let expected = |lines: &[String]| {
             matches!(lines, [one, t, dropped, three]

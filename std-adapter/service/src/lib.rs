@@ -4,10 +4,10 @@
 //! |-----------|--------------------------------------------------------------------------------------------|
 //! | [`rules`] | the rules for clients and the map of Modbus: a TOML file, and additions of a command line    |
 //! | [`audit`] | the log: one JSON object a line, limited for each IP address, in files of bounded size       |
-//! | [`events`] | the thread that writes such a log, also for a fleet                                       |
-//! | [`throttle`] | that limit, also for the events of a fleet                                                |
+//! | [`events`] | the thread that writes such a log, for fleets too                                         |
+//! | [`throttle`] | that limit, for the events of a fleet too                                                 |
 //!
-//! The log cannot report its own failure in the log: a warning goes to the standard error.
+//! The log cannot report a failure of the log: a warning goes to the standard error.
 //!
 //! # Examples
 //!

@@ -20,7 +20,7 @@ pub(crate) struct Rotating {
     max: u64,
     /// The number of old files to keep.
     keep: u32,
-    /// Whether the last line of the file was cut off, as by a full disk or a power failure.
+    /// Whether the last line of the file was truncated, such as by a full disk or a power failure.
     is_torn: bool,
 }
 
@@ -30,7 +30,7 @@ impl Rotating {
         let file = append(path)?;
         let metadata = file.metadata()?;
         let max = if metadata.is_file() { max } else { 0 };
-        // a file that only may be written is taken as it is
+        // a write-only file is used as it is
         let is_torn = metadata.is_file() && metadata.len() > 0 && last_byte(path).is_ok_and(|last| last != b'\n');
         Ok(Self { path: path.to_owned(), file, len: metadata.len(), max, keep, is_torn })
     }
@@ -71,11 +71,11 @@ fn last_byte(path: &Path) -> io::Result<u8> {
 }
 
 impl Write for Rotating {
-    /// Writes to a file that has room for all of `bytes`, so a line is never split by a rotation.
+    /// Writes `bytes` to a file that has room for all of them, so a rotation never splits a line.
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let len = u64::try_from(bytes.len()).unwrap_or(u64::MAX);
         if self.max > 0 && self.len > 0 && self.len.saturating_add(len) > self.max {
-            // without the rights to rename, the log continues in the same file, and tries again after as many bytes
+            // without permission to rename, the log continues in the same file, and tries again after another `max` bytes
             if let Err(error) = self.rotate() {
                 warn(format_args!("the audit log cannot be rotated: {}", escape::failure(&error)));
             }

@@ -31,7 +31,7 @@ use bcap_gateway::modbus::{Entry as ModbusEntry, EntryError, Table};
 use bcap_gateway::{Allow, AllowBuf, Bounds, Network, Rate, RuleErrorKind, Rules};
 use serde::Deserialize;
 
-/// The files that a gateway reads at its start. They live as long as the command.
+/// The files that a gateway reads at its start. They are valid until the command ends.
 #[derive(Debug, PartialEq)]
 pub struct Setup {
     /// The rules.
@@ -109,7 +109,7 @@ fn entry(key: &str, text: &str, parse: fn(&str) -> Result<ModbusEntry, EntryErro
     parse(text).map_err(|error| format!("{key} {text:?}: {error}"))
 }
 
-/// Names the first two entries that overlap, and the first address that both have.
+/// Names the first two entries that overlap, and their first common address.
 fn overlap(map: &[ModbusEntry]) -> Option<String> {
     let mut numbered = map.iter().enumerate();
     let found = numbered.find_map(|(at, entry)| map[..at].iter().find(|other| other.overlaps(entry)).zip(Some(entry)));
@@ -210,7 +210,7 @@ enum Values {
 }
 
 impl Entry {
-    /// Makes the rule that an entry describes. It lives as long as the command.
+    /// Creates the rule that an entry describes. It is valid until the command ends.
     fn to_allow(&self) -> Result<Allow<'static>, String> {
         let kind = self.kind.0;
         let [first, last] = match self.index {

@@ -6,28 +6,28 @@ use std::time::Duration;
 
 use bcap_core::time::Instant;
 
-/// The seconds whose tokens a source may use at once.
+/// The capacity of a bucket, in seconds of its rate.
 const BURST: u32 = 10;
 
 /// The time between the first suppressed line and the record of their number.
 const REPORT: Duration = Duration::from_secs(10);
 
-/// The number of sources with a separate bucket; other sources share one.
+/// The number of sources with a separate bucket; other sources share one bucket.
 const BUCKETS: usize = 1024;
 
 /// The interval at which full buckets are removed.
 const PURGE: Duration = Duration::from_secs(1);
 
-/// Decides which lines are written, and counts the others.
+/// Selects the lines to write, and counts the suppressed lines.
 #[derive(Debug)]
 pub struct Throttle<K> {
     /// Lines a second for each source; 0 writes all.
     rate: u32,
-    /// `None` is the bucket that other sources share.
+    /// `None` is the shared bucket of the other sources.
     buckets: HashMap<Option<K>, Bucket>,
     /// When counts are to be written; `None` without any.
     report_at: Option<Instant>,
-    /// When full buckets may be removed next: looking for them costs more than a line.
+    /// When full buckets may be removed next, because searching for them costs more than writing a line.
     purge_at: Instant,
 }
 

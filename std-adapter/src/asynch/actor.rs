@@ -6,11 +6,11 @@
 //!                           └─ lost ─► report, wait, connect again
 //! ```
 //!
-//! While there is no session, requests fail, but a halt is not refused: it ends the wait, and is made over the next session.
+//! While there is no session, requests fail, but a halt is not refused: it ends the wait, and is sent over the next session.
 //!
-//! It carries out one request after another. While a motion is under way it polls the robot between them. A request whose
-//! caller has gone is dropped if it has not begun; one that has begun is completed, because the controller cannot be asked
-//! to forget it. No request is carried out twice.
+//! The actor carries out requests sequentially. While a motion is in progress it polls the robot between them. If the caller of
+//! a request has gone, the request is dropped if it has not begun, and completed otherwise, because a call cannot be cancelled
+//! on the controller. No request is carried out twice.
 
 use std::any::Any;
 use std::collections::hash_map::RandomState;
@@ -46,7 +46,7 @@ pub(super) enum Request {
     /// Runs a function of the session.
     Run(Box<dyn Job>),
     Move(Box<MoveRequest>),
-    /// Halts the robot if a motion that was begun with this arm may be under way.
+    /// Halts the robot if a motion begun with this arm may be in progress.
     GiveUp(ArmId),
     /// Gives this arm back, if it is still taken.
     GiveArm(ArmId),
@@ -54,7 +54,7 @@ pub(super) enum Request {
     Close(oneshot::Sender<Result<(), Error>>),
 }
 
-/// Motions in sequence, a further one, and the caller that waits.
+/// Motions in sequence, the next motion, and the waiting caller.
 pub(super) struct MoveRequest {
     pub(super) arm: ArmId,
     pub(super) queue: MotionQueue,
@@ -83,7 +83,7 @@ pub(super) type Worked<T> = Result<Result<T, Error>, Box<dyn Any + Send>>;
 pub(super) struct Work<F, T> {
     pub(super) work: F,
     pub(super) reply: oneshot::Sender<Worked<T>>,
-    /// Its place in the queue, returned at its turn; `None` if it does not wait for one.
+    /// Its slot in the queue, released at its turn; `None` if it needs no slot.
     pub(super) permit: Option<OwnedSemaphorePermit>,
     /// Whether it runs although the caller has gone, because it stops something.
     pub(super) always: bool,
@@ -175,12 +175,12 @@ pub(super) struct Actor {
     /// `None` over a stream of the caller, which cannot be connected again.
     pub(super) address: Option<Address>,
     pub(super) settings: Settings,
-    /// Whether each session opens the robot at once, so that a halt takes one call.
+    /// Whether each session opens the robot at its start, so that a halt takes one call.
     pub(super) opens_robot: bool,
     pub(super) scan: Scanner,
     /// The recovery of the robot after the last lost connection.
     pub(super) recovered: watch::Sender<Option<Recovery>>,
-    /// What is to be stopped over the next session.
+    /// The stop requests for the next session.
     pub(super) urgent: Vec<Box<dyn Job>>,
 }
 
@@ -274,7 +274,7 @@ impl Actor {
         }
     }
 
-    /// Opens a session. Ends first the effects that a lost session may have left on the robot. Requests fail meanwhile.
+    /// Opens a session. First ends the effects that a lost session may have left on the robot. Requests fail in the meantime.
     async fn connect(&mut self, open: &mut Open) -> ControlFlow<SessionEnd, Result<Session<Socket>, Error>> {
         let Some(address) = self.address.clone() else { return ControlFlow::Break(SessionEnd::Dropped) };
         self.state.send_replace(State::Connecting);
@@ -301,7 +301,7 @@ impl Actor {
         ended.map_continue(|ended| ended.and_then(|()| opened.ok_or(Error::Closed)))
     }
 
-    /// Waits before the next attempt, unless something is to be stopped. Other requests fail meanwhile.
+    /// Waits before the next attempt, unless a stop request is pending. Other requests fail in the meantime.
     async fn wait(&mut self, error: Error, delay: Duration) -> Option<SessionEnd> {
         let reason = reason(&error);
         self.scan.fail(&Arc::new(error));
@@ -326,7 +326,7 @@ impl Actor {
         None
     }
 
-    /// Waits for `event`, and fails all requests meanwhile.
+    /// Waits for `event`, and fails all requests until then.
     async fn meanwhile<T>(&mut self, reason: &str, event: impl Future<Output = T>) -> ControlFlow<SessionEnd, T> {
         let mut event = std::pin::pin!(event);
         loop {
@@ -342,7 +342,7 @@ impl Actor {
         }
     }
 
-    /// Fails what waits to be stopped, because there is no session.
+    /// Fails the pending stop requests, because there is no session.
     fn fail_urgent(&mut self, error: &Error) {
         for job in self.urgent.drain(..) {
             self.counters.failures.add();
@@ -350,7 +350,7 @@ impl Actor {
         }
     }
 
-    /// Fails a request, because there is no session. What is to be stopped waits for the next one.
+    /// Fails a request, because there is no session. Stop requests stay queued for the next session.
     fn refuse(&mut self, request: Option<Request>, reason: &str) -> Option<SessionEnd> {
         let error = || not_connected(reason);
         match request {
@@ -449,7 +449,8 @@ impl Actor {
         }
     }
 
-    /// Starts a motion. One that is under way with the same arm has been given up by its caller, so the robot is halted first.
+    /// Starts a motion. If an earlier motion of the same arm is in progress, its caller has abandoned it, so the robot is
+    /// halted first.
     async fn start(
         &mut self,
         session: &mut Session<Socket>,
@@ -487,7 +488,7 @@ impl Actor {
     }
 }
 
-/// A motion under way, with the receiver of its outcome.
+/// A motion in progress, with the receiver of its outcome.
 struct ActiveMotion {
     steps: Box<dyn MotionSteps>,
     /// When the robot is polled.
@@ -512,7 +513,7 @@ impl<P: Procedure<Output = MotionQueue, Error = StepError> + Send> MotionSteps f
     }
 }
 
-/// Polls a motion at its deadline; halts the robot if the caller has gone. Returns the motion while it is under way.
+/// Polls a motion at its deadline; halts the robot if the caller has gone. Returns the motion while it is in progress.
 async fn step(session: &mut Session<Socket>, mut motion: ActiveMotion, now: Instant) -> Option<ActiveMotion> {
     let ActiveMotion { steps, deadline, reply } = &mut motion;
     if now < *deadline && !reply.is_closed() {
@@ -551,7 +552,7 @@ async fn gone(motion: &mut Option<ActiveMotion>) {
     }
 }
 
-/// Ends the service of a lost session. The caller of the motion learns that it may have moved the robot.
+/// Ends the service of a lost session. The caller of the motion gets an error: the motion may have moved the robot.
 fn lost(motion: Option<ActiveMotion>, error: Error) -> SessionEnd {
     drop(motion);
     SessionEnd::Lost(error)
@@ -578,7 +579,7 @@ fn not_connected(reason: &str) -> Error {
     Error::NotConnected { reason: reason.to_owned() }
 }
 
-/// The delays between attempts to connect: each is twice the one before, less a random part.
+/// The delays between attempts to connect: each is twice the previous delay, less a random part.
 struct Delays {
     backoff: Backoff,
     next: Duration,

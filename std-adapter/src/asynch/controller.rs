@@ -23,15 +23,15 @@ use crate::settings::Settings;
 
 /// A session with a controller, which a background task keeps open.
 ///
-/// The handle can be cloned and sent to other tasks. Their calls are carried out one after another. When the connection is
-/// lost, calls fail with [`Error::NotConnected`], and the task connects again until it succeeds. No call is made twice. Over UDP
-/// a controller can end the session without a word; then the first call that it refuses for that is the loss.
-/// When the last handle is dropped, the task gives the arm back, releases all objects and stops the service.
+/// The handle can be cloned and sent to other tasks. All calls are carried out sequentially. When the connection is lost, calls
+/// fail with [`Error::NotConnected`], and the task connects again until it succeeds. No call is made twice. Over UDP a
+/// controller can end the session without notice; the first call that it then refuses counts as the loss. When the last handle
+/// is dropped, the task gives the arm back, releases all objects and stops the service.
 ///
 /// # Cancel safety
 ///
-/// A call whose future is dropped is not made if its turn has not come; otherwise it is completed, and its result is
-/// dropped. A motion is different: see [`Arm::move_to`](super::Arm::move_to).
+/// If the future of a call is dropped before the call's turn, the call is not made. Otherwise it is completed, and its result
+/// is dropped. A motion is different: see [`Arm::move_to`](super::Arm::move_to).
 ///
 /// # Examples
 ///
@@ -75,7 +75,7 @@ impl Controller {
         Ok(Self { handle: Handle::connect(address.parse()?, settings, false).await? })
     }
 
-    /// Begins to connect in the background, and again until it succeeds.
+    /// Connects in the background, and retries until it succeeds.
     ///
     /// # Errors
     ///
@@ -137,8 +137,8 @@ impl Controller {
         self.handle.run(move |session| Box::pin(async move { session.read_all(&names).await })).await
     }
 
-    /// Reads several variables of any type in one turn, and returns for each when its reply arrived, and its value or error.
-    /// Other calls wait meanwhile.
+    /// Reads several variables of any type in one turn. Returns for each the arrival time of its reply, and its value or error.
+    /// Other calls wait until the turn ends.
     ///
     /// After a timeout or a loss of the connection the rest is not read, and the result is shorter than `names`. So a
     /// controller that stops responding costs one timeout, not one for each name.
@@ -167,7 +167,7 @@ impl Controller {
     }
 
     /// Reads a variable every 10 ms until its value meets a condition, at most for `limit`, and returns that value. Other calls
-    /// are made meanwhile.
+    /// run between the readings.
     ///
     /// # Errors
     ///
@@ -192,7 +192,7 @@ impl Controller {
         mut condition: impl FnMut(&T) -> bool,
         limit: Duration,
     ) -> Result<T, Error> {
-        // without an end if the clock cannot tell it
+        // no end if the clock cannot represent it
         let end = tokio::time::Instant::now().checked_add(limit);
         loop {
             let value: OwnedVariant = self.read(name).await?;
@@ -210,7 +210,7 @@ impl Controller {
 
     /// Returns this controller with a time limit for each of its calls. Motions have their own limit, and a halt has none.
     ///
-    /// The limit begins when the call is sent, after the calls before it. A call without a reply in this time fails with
+    /// The limit starts when the call is sent, after earlier calls have ended. A call without a reply in this time fails with
     /// [`Error::NoReply`]; the controller may have executed it. The connection stays usable.
     ///
     /// # Examples
@@ -261,12 +261,12 @@ impl Controller {
     /// ```
     pub fn subscribe(&self, names: &[&str], interval: Duration) -> Subscription {
         let (subscription, subscribers) = Subscription::new(names);
-        // when the task has ended, so does the subscription
+        // the subscription ends with the task
         let _ = self.handle.send(Request::Subscribe(subscribers, interval));
         subscription
     }
 
-    /// Returns the robot of the settings; without a name it is the first one that the controller lists.
+    /// Returns the robot of the settings; without a name it is the first robot that the controller lists.
     ///
     /// # Errors
     ///
@@ -306,7 +306,7 @@ impl Controller {
     ///
     /// # Errors
     ///
-    /// As [`connect`](Self::connect), and [`Error::NoAddress`] for a controller over a stream of the caller, which needs
+    /// Same as [`connect`](Self::connect), plus [`Error::NoAddress`] for a controller over a stream of the caller, which needs
     /// [`Stopper::over`], and [`Error::NoSecondSession`] for one over a serial line, which carries one session.
     ///
     /// # Cancel safety
@@ -335,7 +335,7 @@ impl Controller {
         self.handle.run(move |session| Box::pin(async move { session.execute(&command, parameter).await })).await
     }
 
-    /// Returns the handle of the controller in the present session, for [`call`](Self::call).
+    /// Returns the handle of the controller in the current session, for [`call`](Self::call).
     ///
     /// # Errors
     ///
@@ -376,7 +376,7 @@ impl Controller {
         self.handle.run(move |session| Box::pin(async move { session.call_recorded(CONTROLLER, call).await })).await
     }
 
-    /// Returns the states of the connection, beginning with the present one.
+    /// Returns the states of the connection, beginning with the current state.
     pub fn states(&self) -> States {
         States::new(self.handle.state.clone())
     }
@@ -387,7 +387,7 @@ impl Controller {
         Recoveries::new(self.handle.recovered.clone())
     }
 
-    /// Returns the present state of the connection.
+    /// Returns the current state of the connection.
     #[must_use]
     pub fn state(&self) -> State {
         self.handle.state.borrow().clone()
@@ -416,8 +416,8 @@ impl Controller {
         self.handle.counters.read()
     }
 
-    /// Gives the arm back, releases all objects, stops the service and ends the task, also for all other handles. After a lost connection
-    /// it connects once more to give the arm back, with calls that block the thread for some seconds.
+    /// Gives the arm back, releases all objects, stops the service and ends the task, for all other handles too. After a lost
+    /// connection it connects once more to give the arm back, with calls that block the thread for some seconds.
     ///
     /// # Errors
     ///

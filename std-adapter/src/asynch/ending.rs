@@ -13,7 +13,7 @@ use crate::recovery::Recovery;
 use crate::session::{self, Session};
 use crate::settings::Settings;
 
-/// The session of a task, and the effects that a lost session left behind.
+/// The session of a task, and the remaining effects of a lost session.
 pub(super) struct Open {
     pub(super) session: Option<Session<Socket>>,
     /// The possible effects of a lost session on the robot, until a new session has ended them.
@@ -25,11 +25,11 @@ pub(super) struct Open {
 /// Lost sessions, and their possible effects on the robot.
 pub(super) struct LostSessions {
     state: session::Left,
-    /// The lost sessions that the controller keeps alive until their services are stopped, the last one with the effects.
+    /// The lost sessions that the controller keeps alive until their services are stopped. The last session has the effects.
     sessions: Vec<Session<Socket>>,
 }
 
-/// The maximum number of lost sessions that are kept; the oldest ones are forgotten.
+/// The maximum number of lost sessions that are kept; the oldest ones are dropped.
 const SESSIONS: usize = 8;
 
 impl LostSessions {
@@ -37,7 +37,7 @@ impl LostSessions {
     pub(super) async fn recover(&mut self, over: &mut Session<Socket>) -> Result<Recovery, Error> {
         let Self { state, sessions } = self;
         let stop = async {
-            // each is removed after its end, so that a recovery that is interrupted forgets none
+            // each is removed after its end, so that an interrupted recovery skips none
             for index in (0..sessions.len()).rev() {
                 if let Some(lost) = sessions.get_mut(index)
                     && lost.stop_lost_service().await
@@ -65,7 +65,7 @@ impl Open {
         Self { session, left: None, address: address.cloned(), settings: Arc::new(settings.clone()) }
     }
 
-    /// Forgets a lost session, but not its possible effects on the robot.
+    /// Drops a lost session, but keeps its possible effects on the robot.
     pub(super) fn lose(&mut self) {
         if let Some(mut session) = self.session.take()
             && let Some(state) = session.take_left()
@@ -78,8 +78,8 @@ impl Open {
 }
 
 impl Open {
-    /// Ends what the session, or a lost one before it, has left on the robot, once, with calls that block. Returns `None` if that is
-    /// nothing, and an error unless it was seen to end.
+    /// Ends the effects that this session, or an earlier lost session, has left on the robot, once, with calls that block.
+    /// Returns `None` without such effects, and an error unless their end was verified.
     pub(super) fn end_now(&mut self) -> Option<Result<(), Error>> {
         let Self { session, left, address, settings } = self;
         // a session that has changed nothing ends with its connection, if it has one

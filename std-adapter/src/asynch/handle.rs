@@ -20,7 +20,7 @@ use crate::recovery::Recovery;
 use crate::session::Session;
 use crate::settings::Settings;
 
-/// A handle of a controller's task, which ends with the last one.
+/// A handle of a controller's task. The task ends with its last handle.
 #[derive(Clone, Debug)]
 pub(super) struct Handle {
     requests: mpsc::UnboundedSender<Request>,
@@ -30,14 +30,14 @@ pub(super) struct Handle {
     /// `None` over a stream of the caller.
     pub(super) address: Option<Address>,
     pub(super) settings: Settings,
-    /// Limits the calls that wait for their turn, of all handles.
+    /// Limits the queued calls of all handles.
     queue: Arc<Semaphore>,
     /// The time limit of each call of this handle.
     limit: Option<Duration>,
 }
 
-/// The maximum number of calls that wait for their turn, with those whose caller has gone meanwhile. Further calls wait before
-/// they enter the queue, so a controller that is too slow for its callers costs no more memory than they do.
+/// The maximum number of queued calls, including calls whose caller has gone. Further calls wait before they enter the queue,
+/// so a controller that is too slow for its callers uses no more memory than they do.
 const QUEUE: usize = 256;
 
 impl Handle {
@@ -165,7 +165,7 @@ mod tests {
         };
         begin_and_give_up(2 * QUEUE);
         assert_eq!(waiting.len(), QUEUE);
-        // the task takes one, so there is a place for one more
+        // the task takes one, so the queue has room for one more
         drop(waiting.try_recv().unwrap());
         begin_and_give_up(2);
         assert_eq!(waiting.len(), QUEUE);

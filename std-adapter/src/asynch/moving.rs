@@ -1,4 +1,4 @@
-//! Motions under way as an object for tokio.
+//! Running motions as an object for tokio.
 
 use bcap_core::procedure::{Motion, MotionQueue, Until};
 use tokio::sync::oneshot;
@@ -9,22 +9,22 @@ use crate::error::Error;
 use crate::moves::Move;
 use crate::session::{ArmId, Halted};
 
-/// Motions that follow each other; the last one has begun. [`Arm::start`](super::Arm::start) returns it.
+/// Motions in sequence; the last one has begun. [`Arm::start`](super::Arm::start) returns it.
 ///
-/// **Dropping it halts the robot**, and so does dropping the future of any of its functions. Other calls of the controller
-/// are made meanwhile.
+/// **Dropping it halts the robot**, and so does dropping the future of any of its functions. Other calls of the controller run
+/// during the motion.
 ///
 /// # Outcome
 ///
 /// Only the end of the last motion can be waited for. [`Motion::Arrived`] means that the robot rests there. If the robot was
-/// stopped before, [`then`](Self::then) sends nothing, and [`wait`](Self::wait) says how it ended.
+/// stopped before, [`then`](Self::then) sends nothing, and [`wait`](Self::wait) returns how it ended.
 ///
 /// One halt can go unseen: it stops the robot completely in the moment before the controller accepts the next motion, which
 /// the robot then carries out. Real controllers have an error after a halt, and refuse that motion.
 ///
-/// The end of a rotation cannot be compared, nor can a destination whose text the library does not know. If such a
-/// motion is shorter than two polls (some 10 ms), the outcome is [`Motion::Unknown`], and so is the outcome of a
-/// sequence that ends where it began, if no poll saw the robot elsewhere.
+/// The end of a rotation cannot be compared, nor can a destination whose text the library cannot parse. If such a motion is
+/// shorter than two polls (some 10 ms), the outcome is [`Motion::Unknown`], and so is the outcome of a sequence that ends where
+/// it began, if no poll saw the robot elsewhere.
 #[derive(Debug)]
 #[must_use = "dropping it halts the robot"]
 pub struct Moving<'a> {
@@ -36,9 +36,9 @@ pub struct Moving<'a> {
 impl<'a> Moving<'a> {
     /// Lets a motion follow, and returns when it has begun.
     ///
-    /// The controller gets it at once, while the motion before is under way. With [`Pass::Near`](crate::Pass::Near) or
-    /// [`Pass::Within`](crate::Pass::Within) for the motion before, the robot does not stop between them. One motion waits
-    /// at a time: with more, the controller could not be asked where they end.
+    /// The controller receives it immediately, during the previous motion. With [`Pass::Near`](crate::Pass::Near) or
+    /// [`Pass::Within`](crate::Pass::Within) for the previous motion, the robot does not stop between them. Only one motion
+    /// waits at a time: with more, the controller could not be queried for where they end.
     ///
     /// # Errors
     ///

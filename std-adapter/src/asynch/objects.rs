@@ -18,7 +18,7 @@ impl Task {
         Self { handle, name }
     }
 
-    /// Starts the task. Its program may move the robot, and goes on when this object is dropped.
+    /// Starts the task. Its program may move the robot, and continues when this object is dropped.
     ///
     /// # Errors
     ///

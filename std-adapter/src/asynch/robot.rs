@@ -45,10 +45,10 @@ pub struct Robot {
 
 /// A robot whose arm this client has taken, so that it can move it.
 ///
-/// When it is dropped, the task leaves Slave Mode, halts the robot if a motion may be under way, switches the motor off if it
-/// was switched on here, and gives the arm back. So it does when the runtime ends. After a lost connection the task does so
-/// over the next one, before any other call ([`Controller::recoveries`](super::Controller::recoveries) tells it). The arm
-/// is lost with the connection: its functions fail with [`Error::ArmLost`].
+/// When it is dropped, the task leaves Slave Mode, halts the robot if a motion may be in progress, switches the motor off if it
+/// was switched on here, and gives the arm back. The same happens when the runtime ends. After a lost connection the task does
+/// this over the next connection, before any other call ([`Controller::recoveries`](super::Controller::recoveries) reports it).
+/// The arm is lost with the connection: its functions fail with [`Error::ArmLost`].
 #[derive(Debug)]
 pub struct Arm {
     robot: Robot,
@@ -104,8 +104,8 @@ impl Robot {
             .await
     }
 
-    /// Reads what is wrong: the present errors, mode, stops, motor, torque and Slave Mode. It changes nothing, and interrupts no
-    /// stream.
+    /// Reads the state of a faulty robot: the current errors, mode, stops, motor, torque and Slave Mode. It changes nothing,
+    /// and interrupts no stream.
     ///
     /// # Errors
     ///
@@ -134,8 +134,8 @@ impl Robot {
     /// Recovers the robot after an error: clears the errors, takes the arm, resets the safe torque off, prepares the motion of a
     /// COBOTTA, and switches the motor on. Steps that the state does not need are left out.
     ///
-    /// **The arm of a COBOTTA can move**, so a person must have looked at the robot. Nothing is cleared unless it is known that
-    /// no other client uses the robot: while a controller has errors it may refuse to say who owns the arm, and then
+    /// **The arm of a COBOTTA can move**, so a person must have looked at the robot. Nothing is cleared unless it is certain
+    /// that no other client uses the robot: a controller with errors may refuse to report the owner of the arm, and then
     /// [`RecoveryConfig::is_alone`] decides. Dropping the [`Arm`] switches the motor off, and gives the arm back.
     ///
     /// # Errors
@@ -151,14 +151,14 @@ impl Robot {
         self.make_ready(Some(config)).await
     }
 
-    /// Takes the arm, and prepares the motion of a COBOTTA, without which its motor cannot be switched on. Of another model it
-    /// takes only the arm.
+    /// Takes the arm, and prepares the motion of a COBOTTA, without which its motor cannot be switched on. For other models it
+    /// only takes the arm.
     ///
     /// **The arm can move.** Nothing else makes this preparation, except [`recover`](Self::recover).
     ///
     /// # Errors
     ///
-    /// As [`recover`](Self::recover); it fails while the controller has errors.
+    /// Same as [`recover`](Self::recover); it fails while the controller has errors.
     ///
     /// # Cancel safety
     ///
@@ -222,13 +222,12 @@ impl Robot {
         self.handle.run(move |session| Box::pin(async move { session.read(Object::Robot, &name).await })).await
     }
 
-    /// Halts the robot, even without the arm, and waits until it rests, as [`Stopper::halt`], but after the calls that were made
-    /// before.
+    /// Halts the robot, even without the arm, and waits until it rests. Unlike [`Stopper::halt`], it waits for earlier calls.
     ///
     /// # Errors
     ///
-    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if the robot still moved, or the halt stays
-    /// refused.
+    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if the robot did not stop, or the controller kept refusing
+    /// the halt.
     ///
     /// # Cancel safety
     ///
@@ -264,7 +263,7 @@ impl Robot {
 }
 
 impl Arm {
-    /// Switches the motor on, and waits until it is.
+    /// Switches the motor on, and waits until it is on.
     ///
     /// # Errors
     ///
@@ -272,12 +271,12 @@ impl Arm {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller); dropping the arm switches the motor off.
+    /// Same as [`Controller`](super::Controller); dropping the arm switches the motor off.
     pub async fn motor_on(&mut self) -> Result<(), Error> {
         self.run(|session| Box::pin(session.motor(true))).await
     }
 
-    /// Switches the motor off, and waits until it is.
+    /// Switches the motor off, and waits until it is off.
     ///
     /// # Errors
     ///
@@ -303,7 +302,7 @@ impl Arm {
         self.run(move |session| Box::pin(session.execute_robot("ExtSpeed", percent))).await
     }
 
-    /// Selects a tool, which is the point that later positions are about; 0 is the flange.
+    /// Selects the tool whose position later calls use; 0 is the flange.
     ///
     /// # Errors
     ///
@@ -316,7 +315,7 @@ impl Arm {
         self.run(move |session| Box::pin(session.change("Tool", number))).await
     }
 
-    /// Selects work coordinates, in which later positions are; 0 is the base of the robot.
+    /// Selects the work coordinates of later positions; 0 is the base of the robot.
     ///
     /// # Errors
     ///
@@ -331,8 +330,8 @@ impl Arm {
 
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
     ///
-    /// [`Motion::Arrived`] means that the robot rests at the destination, not only that it does not move. Other
-    /// calls of the controller are made meanwhile; while one runs, `limit` is not watched, so limit a long one by
+    /// [`Motion::Arrived`] means that the robot rests at the destination, not only that it does not move. Other calls of the
+    /// controller run during the motion. While one runs, `limit` is not checked, so limit a long call by
     /// [`Controller::within`](super::Controller::within).
     ///
     /// # Errors
@@ -394,21 +393,21 @@ impl Arm {
 
     /// Streams poses in Slave Mode, one every 8 ms, until the trajectory ends, and waits until the robot rests.
     ///
-    /// As [`blocking::Arm::stream`](crate::blocking::Arm::stream), with a trajectory that the task owns: it is called there,
-    /// so it must return at once; its panic stops the robot and continues here. Other calls and subscriptions of the controller wait until the stream ends, because the
-    /// controller refuses them in Slave Mode. A [`Stopper`] can send Robot_Halt at any time, but no source says whether a controller
-    /// accepts it in Slave Mode: have the emergency stop at hand. Timers of tokio are late by one to two
-    /// milliseconds, see [`slave`](crate::slave).
+    /// Same as [`blocking::Arm::stream`](crate::blocking::Arm::stream), with a trajectory that the task owns. It is called in
+    /// the task, so it must return immediately; if it panics, the robot stops and the panic continues here. Other calls and
+    /// subscriptions of the controller wait until the stream ends, because the controller refuses them in Slave Mode. A
+    /// [`Stopper`] can send Robot_Halt at any time, but no source says whether a controller accepts it in Slave Mode: have the
+    /// emergency stop at hand. Timers of tokio are late by one to two milliseconds, see [`slave`](crate::slave).
     ///
     /// # Errors
     ///
-    /// An [`Error`]. After [`Error::Stream`] of a failed call a controller that works has ended Slave Mode and stopped the robot,
-    /// but that may not have been seen: the drop of the [`Arm`] leaves Slave Mode and halts the robot.
+    /// An [`Error`]. After [`Error::Stream`] for a failed call, a working controller has ended Slave Mode and stopped the
+    /// robot, but this may be unverified: the drop of the [`Arm`] leaves Slave Mode and halts the robot.
     ///
     /// # Cancel safety
     ///
     /// **Dropping the future stops the robot** in an orderly way, as [`Next::Stop`] does: from the next pose on it slows down
-    /// along its present direction.
+    /// along its current direction.
     pub async fn stream(
         &mut self,
         format: Format,
@@ -490,7 +489,7 @@ impl<T: Trajectory> WhileWanted<T> {
     }
 }
 
-/// Calls a function, unless one before has panicked.
+/// Calls a function, unless an earlier call has panicked.
 fn caught<R>(panic: &mut Option<Box<dyn Any + Send>>, call: impl FnOnce() -> R) -> Option<R> {
     if panic.is_some() {
         return None;
@@ -567,14 +566,15 @@ impl Stopper {
     /// Halts the robot, and waits until it rests. If the connection is lost, the halt has no reply, or the controller has
     /// ended the session, it connects again once.
     ///
-    /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each
-    /// task if KillAll is refused or has no effect), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
-    /// line when it is started again. Rest is not assumed: the robot is polled until it rests, at most for one second after each means.
+    /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of
+    /// each task if KillAll is refused or has no effect), and the robot is halted again: [`Halted::TasksStopped`]. The next
+    /// start of such a task begins at its first line. After each of these steps the robot is polled until it rests, at most for
+    /// one second.
     ///
     /// # Errors
     ///
-    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if the robot still moved, or the halt stays
-    /// refused.
+    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if the robot did not stop, or the controller kept refusing
+    /// the halt.
     ///
     /// # Cancel safety
     ///

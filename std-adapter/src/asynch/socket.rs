@@ -130,7 +130,7 @@ impl Socket {
         Some(blocking)
     }
 
-    /// Waits until `at`, or for ever; returns why the connection was lost meanwhile.
+    /// Waits until `at`, or indefinitely; returns the error if the connection is lost during the wait.
     pub(super) async fn idle_until(&mut self, at: Option<Instant>) -> Option<CallError> {
         let waited = async |socket: Option<&mut Self>| match (at, socket) {
             (Some(at), Some(socket)) => SendTransport::sleep_until(socket, at).await,

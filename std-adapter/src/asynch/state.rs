@@ -90,7 +90,7 @@ pub(super) struct Latest<T> {
 }
 
 impl<T: Clone + Send + Sync + 'static> Latest<T> {
-    /// Begins with the next change, or with the present value when it is marked as changed.
+    /// Begins with the next change, or with the current value when it is marked as changed.
     pub(super) fn new(mut receiver: watch::Receiver<T>) -> Self {
         Self {
             changed: Box::pin(async move {
@@ -108,8 +108,8 @@ impl<T: Clone + Send + Sync + 'static> Latest<T> {
     }
 }
 
-/// The states of a controller, from [`Controller::states`](super::Controller::states): the present one first, then each
-/// new one. States between two polls are skipped. It ends with the task.
+/// The states of a controller, from [`Controller::states`](super::Controller::states): the current state first, then each new
+/// state. States between two polls are skipped. It ends with the task.
 #[must_use = "a stream does nothing unless it is polled"]
 pub struct States(Latest<State>);
 

@@ -32,7 +32,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Returns whether this reading reports something else than the one before.
+    /// Returns whether this reading differs from the previous one.
     fn differs(&self, before: &Self) -> bool {
         match (&self.value, &before.value) {
             (Ok(value), Ok(before)) => value != before,
@@ -44,7 +44,7 @@ impl Reading {
 
 /// The changes of variables, from [`Controller::subscribe`](super::Controller::subscribe).
 ///
-/// The first item of each variable is its first value. Then there is an item when a reading differs from the one before:
+/// The first item of each variable is its first value. Then there is an item when a reading differs from the previous one:
 /// another value, an error, or a value after an error. A reading that is replaced before it is taken is skipped, so a slow
 /// receiver sees the latest values and costs no memory. The stream ends when the task does. Dropping it ends the subscription.
 ///
@@ -184,7 +184,7 @@ struct Scanned {
 }
 
 impl Scanner {
-    /// Adds the variables of a subscription, which are read at once.
+    /// Adds the variables of a subscription, which are read immediately.
     pub(super) fn add(&mut self, subscribers: Vec<Subscriber>, interval: Duration) {
         for subscriber in subscribers {
             let name = subscriber.name.clone();
@@ -204,7 +204,7 @@ impl Scanner {
         self.variables.iter().map(|scanned| scanned.next).min()
     }
 
-    /// Reads all variables at once, for a new session with another clock.
+    /// Schedules all variables for immediate reading, for a new session with another clock.
     pub(super) fn restart(&mut self) {
         self.variables.iter_mut().for_each(|scanned| scanned.next = Instant::ZERO);
     }
@@ -214,7 +214,7 @@ impl Scanner {
         self.variables.retain_mut(Scanned::is_wanted);
         let Some(scanned) = self.variables.iter_mut().min_by_key(|scanned| scanned.next) else { return false };
         let reading = session.read::<OwnedVariant>(Object::Controller, &scanned.name).await;
-        // from now on, not from the planned time: a controller that is too slow is not asked in a burst
+        // from now on, not from the planned time, so that a slow controller gets no burst of reads
         scanned.next = session.now().saturating_add(scanned.interval());
         let read = reading.is_ok();
         scanned.report(&reading.map_err(Arc::new));

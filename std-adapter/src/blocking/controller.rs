@@ -24,10 +24,10 @@ use crate::settings::Settings;
 
 /// A session with a controller.
 ///
-/// It opens objects when they are first used and keeps their handles. When it is dropped it releases all objects in
-/// reverse order and stops the service. It ends that after one second without a reply, and sends nothing over a lost
-/// connection. If the connection was lost while this session had the arm, the drop connects once more, and halts the robot,
-/// switches the motor off and gives the arm back ([`Settings::keep`] prevents it).
+/// It opens objects when they are first used and keeps their handles. When it is dropped it releases all objects in reverse
+/// order and stops the service. It stops doing so after one second without a reply, and sends nothing over a lost connection.
+/// If the connection was lost while this session had the arm, the drop connects once more, and halts the robot, switches the
+/// motor off and gives the arm back ([`Settings::keep`] prevents it).
 ///
 /// # Examples
 ///
@@ -193,7 +193,7 @@ impl Controller {
         ready(self.session.write(Object::Controller, name, value))
     }
 
-    /// Returns the robot of the settings; without a name it is the first one that the controller lists.
+    /// Returns the robot of the settings; without a name it is the first robot that the controller lists.
     ///
     /// # Errors
     ///
@@ -221,7 +221,7 @@ impl Controller {
     ///
     /// # Errors
     ///
-    /// As [`connect`](Self::connect), and [`Error::NoAddress`] for a controller over a stream of the caller, which needs
+    /// Same as [`connect`](Self::connect), plus [`Error::NoAddress`] for a controller over a stream of the caller, which needs
     /// [`Stopper::over`], and [`Error::NoSecondSession`] for one over a serial line, which carries one session.
     pub fn stopper(&self) -> Result<Stopper, Error> {
         Stopper::open(self.address.as_ref().ok_or(Error::NoAddress)?, &self.settings)
@@ -244,7 +244,7 @@ impl Controller {
 
     /// Calls any function, and returns a copy of the value of its reply ([`OwnedReply`]). Objects that the call opens are
     /// released with the session, if the caller does not. A call that moves the robot returns when the motion has ended, or
-    /// with `NEXT` at once; then dropping the controller halts it, if this session has the arm.
+    /// immediately with `NEXT`; then dropping the controller halts it, if this session has the arm.
     ///
     /// ```no_run
     /// # use bcap_std::{Settings, blocking::Controller, core::bcap::call};

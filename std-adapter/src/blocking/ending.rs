@@ -13,13 +13,13 @@ use crate::recovery::Recovery;
 use crate::session::{Left, Session};
 use crate::settings::Settings;
 
-/// How long the end of a session may take.
+/// The time limit for the end of a session.
 const LIMIT: Duration = Duration::from_secs(5);
 
-/// How long connecting again may take at the end of a program.
+/// The time limit for connecting again at the end of a program.
 const CONNECT: Duration = Duration::from_secs(2);
 
-/// Runs the end of a session within [`LIMIT`], or the deadline that it has.
+/// Runs the end of a session within [`LIMIT`], or within its deadline.
 pub(crate) fn within_limit<T>(session: &mut Session<Blocking>, end: impl FnOnce(&mut Session<Blocking>) -> T) -> T {
     // a panic of the caller's code may have left the time limit of its calls
     session.set_limit(None);
@@ -33,7 +33,7 @@ pub(crate) fn within_limit<T>(session: &mut Session<Blocking>, end: impl FnOnce(
 
 /// How a session has ended.
 pub(crate) struct EndResult {
-    /// An error unless its effects on the robot were seen to end.
+    /// An error unless its effects on the robot are verified to have ended.
     pub(crate) robot: Result<(), Error>,
     /// Whether its objects were released and its service stopped.
     pub(crate) objects: Result<(), Error>,
@@ -63,8 +63,8 @@ pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>
     EndResult { robot, objects }
 }
 
-/// Ends over a new connection the effects that a lost session may have left. Over UDP the lost sessions are stopped too. Fails unless the
-/// effects were seen to end.
+/// Ends the effects that a lost session may have left, over a new connection. Over UDP the lost sessions are stopped too. Fails
+/// unless the effects are verified to have ended.
 pub(crate) fn recover_now(
     address: &Address,
     settings: &Settings,

@@ -1,4 +1,4 @@
-//! Motions under way as an object.
+//! Running motions as an object.
 
 use bcap_core::procedure::{Motion, MotionQueue, Until};
 
@@ -8,21 +8,21 @@ use crate::error::Error;
 use crate::moves::Move;
 use crate::session::{Halted, Session};
 
-/// Motions that follow each other; the last one has begun. [`Arm::start`](super::Arm::start) returns it.
+/// Motions in sequence; the last one has begun. [`Arm::start`](super::Arm::start) returns it.
 ///
 /// **Dropping it halts the robot**, even by an error or a panic.
 ///
 /// # Outcome
 ///
 /// Only the end of the last motion can be waited for. [`Motion::Arrived`] means that the robot rests there. If the robot was
-/// stopped before, [`then`](Self::then) sends nothing, and [`wait`](Self::wait) says how it ended.
+/// stopped before, [`then`](Self::then) sends nothing, and [`wait`](Self::wait) returns how it ended.
 ///
 /// One halt can go unseen: it stops the robot completely in the moment before the controller accepts the next motion, which
 /// the robot then carries out. Real controllers have an error after a halt, and refuse that motion.
 ///
-/// The end of a rotation cannot be compared, nor can a destination whose text the library does not know. If such a
-/// motion is shorter than two polls (some 10 ms), the outcome is [`Motion::Unknown`], and so is the outcome of a
-/// sequence that ends where it began, if no poll saw the robot elsewhere.
+/// The end of a rotation cannot be compared, nor can a destination whose text the library cannot parse. If such a motion is
+/// shorter than two polls (some 10 ms), the outcome is [`Motion::Unknown`], and so is the outcome of a sequence that ends where
+/// it began, if no poll saw the robot elsewhere.
 #[derive(Debug)]
 #[must_use = "dropping it halts the robot"]
 pub struct Moving<'a> {
@@ -30,7 +30,7 @@ pub struct Moving<'a> {
     pub(super) queue: MotionQueue,
 }
 
-/// Motions under way, from [`Moving::keep`]; [`Controller::resume`](super::Controller::resume) takes them.
+/// Running motions, from [`Moving::keep`]; [`Controller::resume`](super::Controller::resume) takes them.
 #[derive(Debug)]
 #[must_use = "only the end of the session halts the robot"]
 pub struct KeptMotion {
@@ -39,8 +39,8 @@ pub struct KeptMotion {
 }
 
 impl Moving<'_> {
-    /// Ends the use of this object without halting the robot, for programs that cannot keep a borrow, such as bindings to
-    /// other languages. The motions go on; the end of the session halts them.
+    /// Ends the use of this object without halting the robot, for programs that cannot keep a borrow, such as bindings to other
+    /// languages. The motions continue; the end of the session halts them.
     pub fn keep(self) -> KeptMotion {
         let kept = KeptMotion { session: self.session.id, queue: self.queue };
         std::mem::forget(self);
@@ -49,9 +49,9 @@ impl Moving<'_> {
 
     /// Lets a motion follow, and returns when it has begun.
     ///
-    /// The controller gets it at once, while the motion before is under way. With [`Pass::Near`](crate::Pass::Near) or
-    /// [`Pass::Within`](crate::Pass::Within) for the motion before, the robot does not stop between them. One motion waits
-    /// at a time: with more, the controller could not be asked where they end.
+    /// The controller receives it immediately, during the previous motion. With [`Pass::Near`](crate::Pass::Near) or
+    /// [`Pass::Within`](crate::Pass::Within) for the previous motion, the robot does not stop between them. Only one motion
+    /// waits at a time: with more, the controller could not be queried for where they end.
     ///
     /// # Errors
     ///

@@ -22,7 +22,7 @@ impl<'a> Task<'a> {
         Self { calls, name: name.to_owned() }
     }
 
-    /// Starts the task. Its program may move the robot, and goes on when this object is dropped.
+    /// Starts the task. Its program may move the robot, and continues when this object is dropped.
     ///
     /// # Errors
     ///

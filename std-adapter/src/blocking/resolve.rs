@@ -11,12 +11,12 @@ use crate::connect::ConnectError;
 
 /// Resolves the host of an address, at most for `limit`; [`connect_tcp`](super::connect_tcp) and its siblings take the list.
 ///
-/// IPv4 addresses come first: controllers use IPv4, `localhost` has addresses of both kinds, and over UDP connecting does
+/// IPv4 addresses are listed first: controllers use IPv4, `localhost` has addresses of both kinds, and over UDP connecting does
 /// not show which address is in use.
 ///
 /// # Errors
 ///
-/// [`ConnectError::Resolve`], also at the time limit.
+/// [`ConnectError::Resolve`], also when the time limit expires.
 pub fn resolve(address: &NetworkAddress, limit: Option<Duration>) -> Result<Vec<SocketAddr>, ConnectError> {
     // a busy machine may start the thread of the resolver too late
     if let Ok(ip) = address.host.parse::<IpAddr>() {

@@ -38,9 +38,9 @@ pub struct Robot<'a> {
 
 /// A robot whose arm this client has taken, so that it can move it.
 ///
-/// When it is dropped, also when a panic unwinds, it leaves Slave Mode, halts the robot if a motion may be under way, switches
-/// the motor off if it was switched on here, and gives the arm back, within five seconds. After a lost connection the
-/// drop of the [`Controller`](super::Controller) does so over a new one.
+/// When it is dropped, even while a panic unwinds, it leaves Slave Mode, halts the robot if a motion may be in progress,
+/// switches the motor off if it was switched on here, and gives the arm back, within five seconds. After a lost connection the
+/// drop of the [`Controller`](super::Controller) does this over a new connection.
 #[derive(Debug)]
 pub struct Arm<'a> {
     robot: Robot<'a>,
@@ -78,8 +78,8 @@ impl<'a> Robot<'a> {
         Ok(Arm { robot: self.unlimited() })
     }
 
-    /// Reads what is wrong: the present errors, mode, stops, motor, torque and Slave Mode. It changes nothing, and interrupts no
-    /// stream.
+    /// Reads the state of a faulty robot: the current errors, mode, stops, motor, torque and Slave Mode. It changes nothing,
+    /// and interrupts no stream.
     ///
     /// # Errors
     ///
@@ -104,8 +104,8 @@ impl<'a> Robot<'a> {
     /// Recovers the robot after an error: clears the errors, takes the arm, resets the safe torque off, prepares the motion of a
     /// COBOTTA, and switches the motor on. Steps that the state does not need are left out.
     ///
-    /// **The arm of a COBOTTA can move**, so a person must have looked at the robot. Nothing is cleared unless it is known that
-    /// no other client uses the robot: while a controller has errors it may refuse to say who owns the arm, and then
+    /// **The arm of a COBOTTA can move**, so a person must have looked at the robot. Nothing is cleared unless it is certain
+    /// that no other client uses the robot: a controller with errors may refuse to report the owner of the arm, and then
     /// [`RecoveryConfig::is_alone`] decides. Dropping the [`Arm`] switches the motor off, and gives the arm back.
     ///
     /// # Errors
@@ -123,7 +123,7 @@ impl<'a> Robot<'a> {
     ///
     /// # Errors
     ///
-    /// As [`recover`](Self::recover); it fails while the controller has errors.
+    /// Same as [`recover`](Self::recover); it fails while the controller has errors.
     pub fn prepare(self) -> Result<Arm<'a>, Error> {
         self.make_ready(None)
     }
@@ -185,7 +185,7 @@ impl<'a> Robot<'a> {
     /// task if KillAll is refused or has no effect), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
     /// line when it is started again. Rest is not assumed: the robot is polled until it rests, at most for one second after each means.
     ///
-    /// A [`Stopper`](super::Stopper) does so while another call of this controller waits.
+    /// A [`Stopper`](super::Stopper) can do this while another call of this controller waits.
     ///
     /// # Errors
     ///
@@ -259,9 +259,9 @@ impl<'a> Arm<'a> {
 
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
     ///
-    /// [`Motion::Arrived`] means that the robot rests at the destination, not only that it does not move. On
-    /// another thread a [`Stopper`](super::Stopper) can halt the motion at any time. When the call returns, also
-    /// with an error, the robot rests or was told to halt, so there is nothing to drop.
+    /// [`Motion::Arrived`] means that the robot rests at the destination, not only that it does not move. On another thread a
+    /// [`Stopper`](super::Stopper) can halt the motion at any time. When the call returns, even with an error, the robot is at
+    /// rest or a halt was sent, so there is nothing to drop.
     ///
     /// # Errors
     ///
@@ -313,8 +313,8 @@ impl<'a> Arm<'a> {
     ///
     /// # Errors
     ///
-    /// An [`Error`]. After [`Error::Stream`] of a failed call a controller that works has ended Slave Mode and stopped the robot,
-    /// but that may not have been seen: the drop of the [`Arm`] leaves Slave Mode and halts the robot.
+    /// An [`Error`]. After [`Error::Stream`] for a failed call, a working controller has ended Slave Mode and stopped the
+    /// robot, but this may be unverified: the drop of the [`Arm`] leaves Slave Mode and halts the robot.
     pub fn stream<T: Trajectory + ?Sized>(
         &mut self,
         format: Format,

@@ -118,7 +118,7 @@ impl StopperSession {
 
 impl Drop for StopperSession {
     fn drop(&mut self) {
-        // a server releases the objects of a client that ends without a word
+        // a server releases the objects of a client that ends without notice
         let _ = ready(self.session.release());
     }
 }

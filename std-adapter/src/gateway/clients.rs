@@ -28,13 +28,13 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 /// The silence after which the operating system probes a PLC.
 const KEEP_ALIVE: Duration = Duration::from_secs(60);
 
-/// Bytes that are moved at once: more than a line of RAC or a frame of Modbus has.
+/// The size of a read, in bytes: larger than a line of RAC or a frame of Modbus.
 const CHUNK: usize = 512;
 
-/// What the clients of a listener speak: RAC, or Modbus with the map of its registers and coils.
+/// The protocol of a listener's clients: RAC (`None`), or Modbus with the map of its registers and coils.
 pub(super) type Map = Option<&'static [Entry]>;
 
-/// What all connections of a listener share.
+/// The state that all connections of a listener share.
 #[derive(Clone)]
 pub(super) struct Plant {
     pub(super) shared: Arc<SharedGateway>,
@@ -59,7 +59,7 @@ pub(super) async fn listen(listener: TcpListener, map: Map, mut plant: Plant) {
             sleep(ACCEPT_PAUSE).await;
             continue;
         };
-        // before slots are looked at, so that such a client takes the slot of no other
+        // before a slot is assigned, so that a client that is not admitted evicts no other client
         if plant.shared.admits(client) {
             tasks.spawn(serve(stream, client, map, plant.clone(), Arc::clone(&refusals)));
         } else {
@@ -73,7 +73,7 @@ pub(super) async fn listen(listener: TcpListener, map: Map, mut plant: Plant) {
     }
 }
 
-/// Makes a connection close with a reset, which discards unsent bytes.
+/// Sets a connection to close with a reset, which discards unsent bytes.
 pub(super) fn reset(stream: &TcpStream) {
     // a socket that cannot be set up is closed already
     let _ = SockRef::from(stream).set_linger(Some(Duration::ZERO));
@@ -81,7 +81,7 @@ pub(super) fn reset(stream: &TcpStream) {
 
 /// Serves a client until its connection ends or the gateway stops, or refuses it.
 async fn serve(stream: TcpStream, client: SocketAddr, map: Map, mut plant: Plant, refusals: Arc<Semaphore>) {
-    // a socket that cannot be set up is closed already, and its first read tells so
+    // a socket that cannot be set up is closed already, and its first read fails
     let _ = set_up_tcp(SockRef::from(&stream), Some(KEEP_ALIVE));
     let mut link = PlcLink { transport: TcpTransport::new(stream), tap: plant.tap.clone() };
     let shared = Arc::clone(&plant.shared);
@@ -97,7 +97,7 @@ async fn serve(stream: TcpStream, client: SocketAddr, map: Map, mut plant: Plant
             () = driver::refuse(&mut link.transport, front(&mut modbus), REFUSAL_TIME, &mut chunk) => {}
             _ = plant.stopped.changed() => {}
         }
-        // a client that has gone needs no end of the stream
+        // an error means that the client has gone
         let _ = link.transport.into_stream().shutdown().await;
     }
 }

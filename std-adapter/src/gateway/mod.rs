@@ -7,10 +7,10 @@
 //!                                 └─► Report: every answer; robot and PLCs connect and disconnect
 //! ```
 //!
-//! A [`Driver`] runs the [driver of `bcap-gateway`](bcap_gateway::driver) over sockets. [`Config`](bcap_gateway::Config) says how the
-//! robot is reached, what PLCs may do, and how long a request may take. [`Limits`] bounds what PLCs can cost: a new
-//! connection gets the slot of the connection that has been idle longest when slots are short. A PLC that sends without a
-//! pause does not delay the others: tasks yield after each read and write, and the gateway serves requests in turn.
+//! A [`Driver`] runs the [driver of `bcap-gateway`](bcap_gateway::driver) over sockets. [`Config`](bcap_gateway::Config) sets
+//! how the robot is reached, what PLCs may do, and the time limit of a request. [`Limits`] bounds the resources for PLCs: a new
+//! connection gets the slot of the connection that has been idle longest when slots are short. A PLC that sends without a pause
+//! does not delay other PLCs: tasks yield after each read and write, and the gateway serves requests in turn.
 //!
 //! With [`Driver::modbus`], PLCs that do not speak RAC use Modbus TCP.
 //!
@@ -74,8 +74,8 @@ pub struct Driver {
 }
 
 impl Driver {
-    /// Makes a driver for a robot at a host and a port. The link of the gateway's configuration says whether it is reached
-    /// over TCP or UDP; a host name is looked up for each connection.
+    /// Creates a driver for a robot at a host and a port. The link of the gateway's configuration selects TCP or UDP; a host
+    /// name is looked up for each connection.
     ///
     /// `log` gets every report. It is called while the gateway is locked, so it must be short.
     #[must_use]
@@ -118,7 +118,7 @@ impl Driver {
         Self { tap: TrafficTap::new(tap), ..self }
     }
 
-    /// Changes how long connecting to the robot over TCP may take for each address of its name; 3 s by default.
+    /// Sets the time limit for connecting to the robot over TCP, for each address of its name; 3 s by default.
     #[must_use]
     pub fn connect_timeout(mut self, timeout: Duration) -> Self {
         self.options.connect_timeout = timeout;
@@ -132,7 +132,7 @@ impl Driver {
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped all connections are closed at once; a running request may have been carried out.
+    /// When the future is dropped all connections are closed immediately; a running request may have been carried out.
     pub async fn run(self, listener: TcpListener, shutdown: impl Future<Output = ()>) -> Counters {
         let Self { shared, robot, options, tap, limits, modbus } = self;
         let (stop, stopped) = watch::channel(());

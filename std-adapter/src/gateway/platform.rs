@@ -18,7 +18,7 @@ pub(super) type SharedGateway = driver::SharedGateway<'static, Tokio>;
 #[derive(Debug)]
 pub(super) struct Tokio;
 
-/// A mutex whose value survives a panic under the lock: a log that panicked has left the gateway in order.
+/// A mutex whose value survives a panic under the lock: a panic of the log leaves the gateway consistent.
 #[derive(Debug)]
 pub(super) struct SurvivingMutex<T>(Mutex<T>);
 

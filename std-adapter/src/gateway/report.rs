@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 
 use bcap_gateway::driver;
 
-/// What a gateway reports to its log.
+/// A report of a gateway to its log.
 pub type Report<'a> = driver::Report<'a, SocketAddr, io::Error, io::ErrorKind>;
 
 /// Why the session of a client ended.

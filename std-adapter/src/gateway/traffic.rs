@@ -5,7 +5,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// What a connection of a gateway has moved.
+/// Bytes that were moved on a connection of a gateway, or its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Traffic<'a> {
@@ -15,11 +15,11 @@ pub struct Traffic<'a> {
     pub client: SocketAddr,
     /// The address of the server: this gateway, or the robot.
     pub server: SocketAddr,
-    /// What has happened.
+    /// The event.
     pub moved: Moved<'a>,
 }
 
-/// What has happened on a connection.
+/// An event on a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Moved<'a> {
@@ -46,7 +46,7 @@ impl TrafficTap {
         Self(Some(Arc::new(Mutex::new(Box::new(show)))))
     }
 
-    /// Shows what has happened on a connection; a socket without addresses has ended and shows nothing.
+    /// Shows an event on a connection; a socket without addresses has ended and shows nothing.
     pub(super) fn show(&self, ends: impl FnOnce() -> io::Result<Ends>, moved: Moved<'_>) {
         if let Some(tap) = &self.0
             && let Ok((is_tcp, client, server)) = ends()

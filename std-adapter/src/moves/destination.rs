@@ -1,4 +1,4 @@
-//! The text of a destination: what cannot be one is refused before the first call.
+//! The text of a destination. A text that cannot be a destination is refused before the first call.
 //!
 //! ```text
 //!   P1  J[2]  T3                                     a variable of a pose

@@ -1,4 +1,4 @@
-//! The activity of a connection, by which the listener decides whether it keeps its slot, and the signals that end it.
+//! The activity of a connection, which determines whether it keeps its slot, and the signals that end it.
 //!
 //! A task registers its waker once and then reads a flag before it waits. A future for each signal would be polled for each
 //! request, which is a tenth of the instructions of a small one.

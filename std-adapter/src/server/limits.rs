@@ -14,26 +14,26 @@ pub struct Limits {
     pub connections: usize,
     /// Connections of one IP address at the same time, b-CAP and RAC each.
     pub connections_per_address: usize,
-    /// The silence after which a connection without a running request may be closed when another connection needs its
-    /// slot. A connection of the same address is closed first, otherwise the one that has been idle longest.
+    /// The silence after which a connection without a running request may be closed when another connection needs its slot. A
+    /// connection of the same address is closed first, otherwise the connection that has been idle longest.
     pub evict_after: Duration,
-    /// UDP peers at the same time. A peer that has stopped its service, or was silent for `udp_idle`,
-    /// makes room for another.
+    /// UDP peers at the same time. A peer that has stopped its service, or was silent for `udp_idle`, makes room for another
+    /// peer.
     pub udp_peers: usize,
     /// UDP peers of one IP address at the same time.
     pub udp_peers_per_address: usize,
-    /// The silence after which a UDP peer may be forgotten when another needs its slot.
+    /// The silence after which a UDP peer may be dropped when another peer needs its slot.
     pub udp_idle: Duration,
-    /// The silence after which a UDP peer is forgotten in any case, and its objects are released.
+    /// The silence after which a UDP peer is dropped in any case, and its objects are released.
     pub udp_lost: Duration,
-    /// How long a request may take to arrive once its first byte has.
+    /// The time limit for receiving a request, from its first byte.
     pub receive: Duration,
-    /// How long a peer may accept no bytes of a reply.
+    /// The maximum time in which a peer accepts no bytes of a reply.
     pub send: Duration,
-    /// The longest time of a b-CAP call, whatever its client asks for with `InvokeTimeout`. The default for b-CAP clients
+    /// The maximum run time of a b-CAP call, whatever its client requests with `InvokeTimeout`. The default for b-CAP clients
     /// and the limit for RAC clients is 180 s.
     pub call: Duration,
-    /// The silence after which a connection without a running request is closed; `None` is without a limit.
+    /// The silence after which a connection without a running request is closed; `None` for no limit.
     pub idle: Option<Duration>,
     /// The maximum size of a request in bytes.
     pub frame: u32,

@@ -15,12 +15,12 @@
 //! is decoded and carried out by a thread of tokio's pool for blocking calls, so other calls need not wait for it. The
 //! handler is locked for each call, not for decoding.
 //!
-//! [`Limits`] bounds what one peer can cost: its connections, partly received requests, objects, and the memory of all
+//! [`Limits`] bounds the resources of one peer: its connections, partly received requests, objects, and the memory of all
 //! peers. When slots are short a new connection gets the slot of an idle one, by the rules of
 //! [`Slots`](bcap_core::peers::Slots); without such a connection it is answered E_MAX_CONNECT and closed.
 //!
-//! A handler that panics fails its call with E_UNEXPECTED; the server and the handler go on. With `panic = "abort"` a
-//! panic ends the process.
+//! A handler that panics fails its call with E_UNEXPECTED; the server and the handler continue. With `panic = "abort"` a panic
+//! ends the process.
 //!
 //! # Examples
 //!
@@ -114,15 +114,15 @@ pub struct Addresses {
 }
 
 impl<H: Handler + Send + 'static> Server<H> {
-    /// Makes a server without listeners.
+    /// Creates a server without listeners.
     #[must_use]
     pub fn new(handler: H) -> Self {
         Self::with_shared(Arc::new(Mutex::new(handler)))
     }
 
-    /// Makes a server of a handler that other code reads, too, such as a display of its state.
+    /// Creates a server with a handler that other code also reads, such as a display of its state.
     ///
-    /// The server holds the lock for the time of one call; other code must be as short.
+    /// The server holds the lock for the duration of one call; other code must hold it no longer.
     #[must_use]
     pub fn with_shared(handler: Arc<Mutex<H>>) -> Self {
         let shared = Arc::new(ServerState::new(handler));
@@ -143,8 +143,8 @@ impl<H: Handler + Send + 'static> Server<H> {
         Self { limits, ..self }
     }
 
-    /// Passes everything that is sent to a function, which may change it: to record it, or to test clients over a bad
-    /// link. Only the first tap of a server counts.
+    /// Calls a function with all data before it is sent, for example to record it. The function may change the data, such as to
+    /// test clients over a bad link. Only the first tap of a server counts.
     ///
     /// It is called with each frame of b-CAP and each line of RAC, with the handler locked, so it must be short.
     /// UDP has no connection to close, so `Break` only sends nothing there.
@@ -154,8 +154,8 @@ impl<H: Handler + Send + 'static> Server<H> {
         self
     }
 
-    /// Tells a function the IP address of each client that connects over TCP or UDP, before the client's first call. Only the
-    /// first function of a server counts. A client at a serial line has no address.
+    /// Calls a function with the IP address of each client that connects over TCP or UDP, before the client's first call. Only
+    /// the first function that a server is given counts. A client at a serial line has no address.
     #[must_use]
     pub fn on_connect(self, on_connect: OnConnect<H>) -> Self {
         self.shared.set_on_connect(on_connect);
@@ -166,7 +166,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     ///
     /// # Errors
     ///
-    /// When the address cannot be listened on.
+    /// When listening on the address fails.
     pub async fn bcap_tcp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self> {
         self.bcap.push(TcpListener::bind(address).await?);
         Ok(self)
@@ -176,7 +176,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     ///
     /// # Errors
     ///
-    /// When the address cannot be listened on.
+    /// When listening on the address fails.
     pub async fn bcap_udp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self> {
         self.udp.push(UdpSocket::bind(address).await?);
         Ok(self)
@@ -204,7 +204,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     ///
     /// # Errors
     ///
-    /// When the address cannot be listened on.
+    /// When listening on the address fails.
     pub async fn rac_tcp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self>
     where
         H: RacHandler,
@@ -231,11 +231,11 @@ impl<H: Handler + Send + 'static> Server<H> {
     ///
     /// # Errors
     ///
-    /// When a listening socket fails for good.
+    /// When a listening socket fails permanently.
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped all connections end at once, and the handler does not learn that its peers have gone.
+    /// When the future is dropped all connections end immediately, and the handler is not notified that its peers have gone.
     pub async fn run(self, shutdown: impl Future<Output = ()>) -> io::Result<()> {
         let (stop, stopped) = watch::channel(());
         let mut tasks = JoinSet::new();

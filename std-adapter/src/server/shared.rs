@@ -82,7 +82,7 @@ impl<H> ServerState<H> {
         let _ = self.on_connect.set(on_connect);
     }
 
-    /// Tells the handler the address of a new client.
+    /// Passes the address of a new client to the handler.
     pub(super) fn connected(&self, peer: PeerId, address: IpAddr) {
         if let Some(on_connect) = self.on_connect.get() {
             self.handler().with_handler(peer, |handler| on_connect(handler, peer, address));
@@ -348,7 +348,7 @@ mod tests {
     use super::*;
     use bcap_core::bcap::{Args, FunctionId};
 
-    /// A handler that tells the releases of a server from the calls of its peers.
+    /// A handler that counts the releases by the server and the calls of its peers separately.
     #[derive(Default)]
     struct Counter {
         calls: usize,

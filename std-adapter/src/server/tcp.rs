@@ -26,10 +26,10 @@ use crate::connect::set_up_tcp;
 
 /// The maximum number of open handles of one peer.
 const OBJECTS: usize = 1000;
-/// The number of connections over the limit that are answered E_MAX_CONNECT at the same time; further ones are closed at
-/// once.
+/// The maximum number of simultaneous connections over the limit that are answered E_MAX_CONNECT; further ones are closed
+/// immediately.
 pub(crate) const REFUSALS: usize = 32;
-/// How long a connection over the limit may take to send its first request.
+/// The time limit for the first request of a connection over the limit.
 pub(crate) const REFUSAL_TIME: Duration = Duration::from_secs(2);
 
 type StreamSession = Session<Buffer, Buffer, OBJECTS>;

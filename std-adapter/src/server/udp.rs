@@ -1,7 +1,7 @@
 //! b-CAP over UDP: one socket, one task, a session for each peer.
 //!
 //! Handlers do not block, so one task serves all peers. Each peer has its own session, so a long call of one peer does not
-//! delay the others. The core decides which peers get a session ([`datagrams`]).
+//! delay the others. The core selects the peers that get a session ([`datagrams`]).
 
 use std::io;
 use std::net::SocketAddr;
@@ -70,7 +70,7 @@ impl<H: Handler + Send + 'static> Peers<H> {
             self.slots.push(None);
         }
         let rules = (&self.limits.udp_slots(), Config { invoke_timeout_max: self.limits.call, ..Config::UDP });
-        // register before the handler runs, so that no change made meanwhile is missed
+        // register before the handler runs, so that no change is missed
         self.changes.wait(self.changes.waiting().max(1));
         match datagrams::receive(&mut self.slots, (bytes, from), rules, &*self.shared, now()) {
             Received::Passed(index) => self.run(index).await,

@@ -177,7 +177,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     fn arm_begins(&mut self, effect: ArmEffect, function: FunctionId, arguments: &[OwnedVariant]) {
         let takes = matches!(effect, ArmEffect::Take | ArmEffect::Motor(true)) && !self.has_arm();
         if takes && function == FunctionId::ROBOT_EXECUTE {
-            // its effect is undone over the robot that has it
+            // its effect is undone over the same handle of the robot
             self.objects.robot = arguments.first().and_then(handle).map(RobotHandle).or(self.objects.robot);
             self.objects.paths.clear();
         }
@@ -188,7 +188,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     pub(super) fn arm_ended(&mut self, effect: ArmEffect, before: ArmState, ended: Result<(), &Error>) {
         match (effect, ended) {
             (effect, Ok(())) => self.arm.succeed(effect),
-            // given up, it may still be executed
+            // abandoned; it may still be executed
             (_, Err(Error::Refused { code: HResult::E_TIMEOUT, .. })) => {}
             (ArmEffect::Take | ArmEffect::Motor(true), Err(Error::Refused { .. } | Error::NotConnected { .. })) => {
                 self.arm = before;
@@ -230,7 +230,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         if is_needed { self.end_arm().await } else { Ok(()) }
     }
 
-    /// Opens all objects of a path, and returns the handle of the last one.
+    /// Opens all objects of a path, and returns the handle of the last object.
     pub(crate) async fn open_object(&mut self, path: &ObjectPath) -> Result<i32, Error> {
         let (name, steps) = (path.to_string(), path.steps());
         let wrong = |error: procedure::PathError| Error::Reply {
@@ -268,7 +268,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
                 self.objects.motor_switches.retain(|variable| variable.0 != handle);
             }
             Object::Robot | Object::Controller => {
-                // the controller gives the arm back with the robot that has it
+                // releasing the robot that owns the arm gives the arm back
                 if object == Object::Controller || self.objects.robot == Some(RobotHandle(handle)) {
                     self.arm = self.arm.without_arm();
                 }

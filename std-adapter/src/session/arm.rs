@@ -7,7 +7,8 @@ use bcap_core::procedure::{Claim, Effects, Target};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
-/// How long a controller may take to notice that a link has become silent. Until then the arm counts as the lost session's.
+/// The maximum time in which a controller detects that a link has become silent. Until then the lost session counts as the
+/// owner of the arm.
 pub(super) const UNNOTICED: Duration = Duration::from_secs(10);
 
 /// The effects of a session on the robot.
@@ -19,7 +20,7 @@ pub(crate) struct ArmState {
     pub(super) unanswered: bool,
     /// Whether the motor may have been switched on here.
     pub(super) motor: bool,
-    /// Whether a motion may be under way.
+    /// Whether a motion may be in progress.
     pub(crate) moving: bool,
     /// Where that motion ends, if it is the only one since the robot was at rest.
     pub(super) destination: Option<Target>,
@@ -27,7 +28,7 @@ pub(crate) struct ArmState {
     pub(super) streaming: bool,
 }
 
-/// An arm as a session has taken it, until it takes it again.
+/// Identifies the arm from one TakeArm of a session to the next.
 #[cfg(feature = "tokio")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ArmId {
@@ -56,7 +57,7 @@ impl Left {
         let claim = match (self.is_closed || !taken, is_recent) {
             (true, _) => Claim::Unknown,
             (false, true) => Claim::Lost,
-            // the service of a session over datagrams is stopped before the arm is asked for
+            // the service of a session over datagrams is stopped before TakeArm
             (false, false) if self.is_datagram => Claim::Unknown,
             (false, false) => Claim::Silent,
         };

@@ -30,14 +30,14 @@ use crate::CallError;
 use crate::error::Error;
 use crate::recovery::Recovery;
 
-/// How long, and how often, a controller is asked that still executes an earlier call.
+/// The time limit, and the interval, of retries while the controller executes an earlier call.
 const BUSY_LIMIT: Duration = Duration::from_secs(5);
 const BUSY_PAUSE: Duration = Duration::from_millis(10);
-/// How long a controller may take to end the session of a connection that it has closed.
+/// The time in which a controller ends the session of a connection that it has closed.
 const NOTICE: Duration = Duration::from_millis(500);
 
-/// Returns whether a call has certainly ended: it was executed, or refused. With E_TIMEOUT a controller gives up a call that
-/// may go on.
+/// Returns whether a call has definitely ended: it was executed or refused. E_TIMEOUT means that the controller abandoned the
+/// call, which may still run.
 const fn is_answered(ended: &Result<(), Error>) -> bool {
     match ended {
         Ok(()) => true,
@@ -46,7 +46,7 @@ const fn is_answered(ended: &Result<(), Error>) -> bool {
     }
 }
 
-/// Returns whether the controller refused a call because it executes another one of this client, or because the robot brakes.
+/// Returns whether the controller refused a call because it executes another call of this client, or because the robot brakes.
 const fn is_busy(ended: &Result<(), Error>) -> bool {
     matches!(ended, Err(Error::Refused { code: HResult::E_BUSY_PROC | HResult::E_ROBOTISBUSY, .. }))
 }
@@ -80,7 +80,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Gives the arm back at the end of its use, unless the settings leave it as it is. Over UDP the controller refuses every
-    /// call while it still executes one that was given up, so it is asked again until that one has ended.
+    /// call while it still executes an abandoned call, so the call is repeated until that call has ended.
     pub(crate) async fn end_arm(&mut self) -> Result<(), Error> {
         let until = self.busy_limit();
         while !self.keep {
@@ -107,12 +107,12 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         repeats
     }
 
-    /// Counts that the arm is taken: an [`ArmId`] of an earlier time is not this one.
+    /// Counts a TakeArm: an earlier [`ArmId`] is no longer valid.
     pub(super) const fn count_take(&mut self) {
         self.takes = self.takes.wrapping_add(1);
     }
 
-    /// Returns the ID of the arm as it was taken last.
+    /// Returns the ID of the most recent TakeArm.
     #[cfg(feature = "tokio")]
     pub(crate) const fn arm_id(&self) -> ArmId {
         ArmId { session: self.id, take: self.takes }
@@ -148,7 +148,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         stopped.and(given)
     }
 
-    /// Switches the motor off that was switched on without the arm, unless another client uses the robot.
+    /// Switches off a motor that was switched on without the arm, unless another client uses the robot.
     async fn switch_off(&mut self) -> Result<(), Error> {
         if !self.arm.motor {
             return Ok(());
@@ -159,7 +159,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.arm.motor = done.motor_off.is_none() && done.owner != ArmOwner::Other;
         match done.motor_off {
             Some(true) => Ok(()),
-            // again, because the procedure does not tell why it was refused
+            // again, because the procedure does not report the reason of the refusal
             Some(false) => self.motor(false).await,
             None => {
                 tracing::warn!(?done, "the motor was not switched off");
@@ -170,13 +170,13 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
     }
 
-    /// Returns whether the controller does not notice that this session has ended, unless its service is stopped.
+    /// Returns whether the session lives on in the controller after its link is gone, until its service is stopped.
     pub(crate) const fn outlasts_its_link(&mut self) -> bool {
         matches!(self.connection.client().link(), Link::Datagram)
     }
 
-    /// Stops the service of a lost session over UDP, as soon as its call without a reply has ended. Nothing else tells the
-    /// controller that the session has ended, and it would keep the arm for it. Returns whether that session has ended.
+    /// Stops the service of a lost session over UDP, as soon as its call without a reply has ended. Nothing else ends the
+    /// session in the controller, which would keep the arm for it. Returns whether that session has ended.
     pub(crate) async fn stop_lost_service(&mut self) -> bool {
         let timing = self.closing();
         let until = self.busy_limit();
@@ -185,7 +185,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             let again = self.connection.transport().now() + BUSY_PAUSE;
             match stopped {
                 Err(CallError::Refused(HResult::E_BUSY_PROC)) if again <= until => {}
-                // without it, another code says that there is no such session
+                // any other code means that the session does not exist
                 Err(CallError::Refused(code)) => return code != HResult::E_BUSY_PROC,
                 ended => return ended.is_ok(),
             }
@@ -205,9 +205,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Ends the effects that a lost session may have left; `stop` stops its service.
     ///
-    /// While the controller can hardly have noticed the loss, the arm is the lost session's, so the robot is halted first. Otherwise
-    /// the arm is asked for: a robot that another client uses is left alone. If the arm may still be the lost session's, its
-    /// motion is halted, unless the robot heads elsewhere.
+    /// Shortly after the loss, the controller has probably not detected it, and the lost session still owns the arm, so the
+    /// robot is halted first. Later, TakeArm is sent first: a robot that another client uses is left alone. If the lost session
+    /// may still own the arm, its motion is halted, unless the robot moves to another destination.
     ///
     /// # Errors
     ///
@@ -227,7 +227,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let reclaimed = self.run(ROBOT, procedure::reclaim(robot, Effects { claim, ..effects })).await?;
         recovery.add(reclaimed);
         if reclaimed.owner == ArmOwner::Other && left.is_closed {
-            // perhaps the controller is about to notice
+            // the controller may be about to detect the loss
             let again = self.connection.transport().now() + NOTICE;
             self.connection.transport().sleep_until(again).await;
             recovery.add(self.run(ROBOT, procedure::reclaim(robot, Effects { claim: Claim::Other, ..effects })).await?);

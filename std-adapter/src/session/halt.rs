@@ -9,7 +9,7 @@ use bcap_core::procedure::{self, HaltAnswer, HaltConfig};
 use super::{Halted, ROBOT, Session};
 use crate::error::Error;
 
-/// How long the robot may take to come to rest after a stop was answered.
+/// The maximum time until the robot is at rest after a stop was answered.
 const REST: Duration = Duration::from_secs(1);
 
 impl<X: Transport<Error = io::Error>> Session<X> {

@@ -1,7 +1,7 @@
 //! The handles of the controller's variables, by the path that the caller uses.
 //!
-//! A program polls the same variables in the same order. So each entry remembers which one followed it the last time: a look-up of that
-//! one, or of the same variable again, compares one text and hashes nothing. Any other look-up hashes the path once.
+//! A program polls the same variables in the same order. So each entry stores which entry followed it last time: a look-up of
+//! that variable, or of the same variable again, compares one text and hashes nothing. Any other look-up hashes the path once.
 
 use std::sync::Arc;
 
@@ -80,7 +80,7 @@ mod tests {
         for number in 0..4 {
             paths.add(&format!("I{number}"), VariableHandle(number));
         }
-        // the same one again, in a row, in reverse, and by turns
+        // repeated, in order, in reverse order, and alternating
         for number in [3, 3, 0, 1, 2, 3, 0, 1, 2, 3, 2, 1, 0, 2, 0, 2, 1, 1] {
             assert_eq!(paths.get(&format!("I{number}")), Some(VariableHandle(number)));
             assert_eq!(paths.get("I4"), None);

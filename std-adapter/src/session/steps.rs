@@ -1,4 +1,4 @@
-//! A session for tasks: a motion in steps, so that the task can make other calls meanwhile.
+//! A session for tasks: a motion in steps, so that the task can make other calls in between.
 
 use std::io;
 use std::ops::ControlFlow;
@@ -41,7 +41,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         match self.connection.advance(running).await {
             ControlFlow::Continue(at) => {
                 self.observe(None);
-                // a halt of another task may have ended the motion before; this queue may have begun the next one
+                // a halt of another task may have ended the previous motion; this queue may have begun the next motion
                 self.set_moving(true);
                 ControlFlow::Continue(at)
             }

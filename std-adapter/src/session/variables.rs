@@ -19,7 +19,7 @@ pub type TimedReading = (Instant, Result<OwnedVariant, Error>);
 pub(crate) const POLL: Duration = Duration::from_millis(10);
 
 impl<X: Transport<Error = io::Error>> Session<X> {
-    /// Reads variables of any type; fails with the first one that cannot be read.
+    /// Reads variables of any type; fails at the first variable that cannot be read.
     pub(crate) async fn read_all<const N: usize, S: AsRef<str>>(
         &mut self,
         names: &[S; N],

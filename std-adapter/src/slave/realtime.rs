@@ -4,7 +4,7 @@ use std::io;
 
 /// Real-time settings for the thread that streams.
 ///
-/// Without them a thread keeps the cycle of 8 ms on a machine that is not overloaded; with them also on a busy one.
+/// Without them a thread keeps the cycle of 8 ms on a machine that is not overloaded; with them even on a busy machine.
 ///
 /// # Examples
 ///

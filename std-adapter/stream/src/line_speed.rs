@@ -6,17 +6,17 @@ use bcap_core::bcap::Link;
 use bcap_core::slave::Format;
 use bcap_std::SerialLine;
 
-/// The time in which a pose and its reply must pass the line.
+/// The time limit for a pose and its reply on the line.
 const CYCLE: Duration = Duration::from_millis(8);
 
-/// The part of a cycle that the programs at both ends need.
+/// The time in a cycle that the programs at both ends need.
 const ENDS: Duration = Duration::from_millis(1);
 
 /// Refuses a serial line that cannot carry a pose and its reply in each cycle.
 ///
 /// # Errors
 ///
-/// The time of a pose and its reply, and the baud rate that they need.
+/// The time of a pose and its reply, and the required baud rate.
 pub fn check(line: &SerialLine, format: &Format) -> Result<(), String> {
     let [request, reply] = format.frame_lengths(Link::Serial).map(|bytes| u32::try_from(bytes).unwrap_or(u32::MAX));
     let bytes = request.saturating_add(reply);

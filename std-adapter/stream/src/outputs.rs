@@ -13,8 +13,8 @@ pub struct OutputBits {
     pub hand: Option<u64>,
 }
 
-/// Checks that slvMove carries MiniIO, user IO and HandIO, where they have a value, and that the value fits. The names say
-/// where the values are from.
+/// Checks that slvMove carries MiniIO, user IO and HandIO, where they have a value, and that the value fits. The names in
+/// `names` are the sources of the values, for errors.
 ///
 /// # Errors
 ///

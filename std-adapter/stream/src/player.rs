@@ -44,7 +44,7 @@ impl Course {
     /// a sentence with the number of the pose, counted from 0.
     pub fn check(&self, limits: &AxisLimits) -> Result<(), String> {
         let Self::Poses { poses, loops, .. } = self else { return Ok(()) };
-        // the step from the last pose to the first one is the same in every loop
+        // the step from the last pose to the first is the same in every loop
         let rounds = usize::try_from(*loops).unwrap_or(usize::MAX).min(2);
         let played = poses.iter().cycle().take(poses.len().saturating_mul(rounds));
         limits
@@ -125,7 +125,7 @@ impl NextOutputs {
     }
 }
 
-/// Returns the low 32 bits; a file with more of them was refused.
+/// Returns the low 32 bits; a file with more bits was refused.
 fn low(bits: u64) -> i32 {
     u32::try_from(bits & u64::from(u32::MAX)).unwrap_or(0).cast_signed()
 }
@@ -147,7 +147,7 @@ pub struct Player {
 }
 
 impl Player {
-    /// Makes the trajectory of a stream with this format. It sets no outputs, and keeps no cycles and no replies.
+    /// Creates the trajectory of a stream with this format. It sets no outputs, and keeps no cycles and no replies.
     #[must_use]
     pub fn new(course: Course, format: &Format) -> Self {
         let user_bytes = match format.send.io {
@@ -174,7 +174,7 @@ impl Player {
         self
     }
 
-    /// Reports the progress there, and stops when it says so.
+    /// Reports the progress to `status`, and stops when it requests that.
     #[must_use]
     pub fn with_status(self, status: Arc<StreamStatus>) -> Self {
         Self { status, ..self }

@@ -14,7 +14,7 @@ use bcap_core::slave::{Extended, ExtendedAxes, Pose, PoseType, SendFormat};
 
 use crate::outputs::{self, OutputBits, parse_bits};
 
-/// The longest stream, in seconds.
+/// The maximum duration of a stream, in seconds.
 const LONGEST: f64 = 24.0 * 3600.0;
 
 /// Returns the columns of the extended joints, which a J pose has among its own.
@@ -37,7 +37,7 @@ const fn extended_joints(axes: ExtendedAxes, seven: f64, eight: f64) -> Option<E
     }
 }
 
-/// The poses of a file with their times, in seconds from the first one.
+/// The poses of a file with their times, in seconds from the first pose.
 #[derive(Debug)]
 pub struct Poses {
     /// The type of the poses.
@@ -143,7 +143,7 @@ impl Poses {
         out
     }
 
-    /// Makes a pose of the numbers of a row.
+    /// Creates a pose from the numbers of a row.
     fn pose(&self, numbers: &[f64]) -> Option<Pose> {
         let own = numbers.get(..self.kind.len()).unwrap_or(numbers);
         let number = |at: usize| numbers.get(at).copied().unwrap_or(0.0);
@@ -157,7 +157,7 @@ impl Poses {
         Some(extended_joints(self.extended, seven, eight).map_or(pose, |joints| pose.with_extended(joints)))
     }
 
-    /// Returns the interpolated numbers at a time between a row and the next one.
+    /// Returns the interpolated numbers at a time between a row and the next row.
     fn at(&self, row: usize, at: f64, cycle: f64) -> Vec<f64> {
         let (from, numbers) = &self.rows[row];
         let Some((to, next)) = self.rows.get(row + 1).filter(|_| at - from > cycle * 1e-6) else {
@@ -282,7 +282,7 @@ impl Layout {
         Ok((at, self.numbers.iter().map(|column| number(*column)).collect::<Result<_, _>>()?))
     }
 
-    /// Reads the outputs of a line, which has as many fields as the first one.
+    /// Reads the outputs of a line, which has as many fields as the first line.
     fn outputs(&self, fields: &[&str]) -> Result<OutputBits, String> {
         let read = |column: Option<usize>| {
             let field = column.and_then(|column| fields.get(column).map(|field| (column + 1, field)));
@@ -343,7 +343,7 @@ mod tests {
             assert!((found - expected).abs() < 1e-9, "{:?}", each[1]);
         }
         assert_eq!(each[2].numbers()[5], 181.0);
-        // a byte order mark is no part of a name
+        // a byte order mark is not part of a name
         assert_eq!(parse("\u{feff}t,J1\n0,1\n1,2\n").unwrap().each_cycle(0.5).len(), 3);
         assert_eq!(parse("x,y,z,ox,oy,oz,ax,ay,az,fig\n1,2,3,1,0,0,0,1,0,5").unwrap().kind, PoseType::T);
     }

@@ -30,7 +30,7 @@ struct Reply {
 }
 
 impl Received {
-    /// Makes room for this number of replies.
+    /// Reserves capacity for this number of replies.
     pub fn new(format: ReceiveFormat, room: usize) -> Self {
         Self { format, replies: Vec::with_capacity(room) }
     }

@@ -6,7 +6,7 @@ pub const CYCLE: f64 = 0.008;
 /// The poses of one cycle.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
-    /// The time of the answer, in seconds since the first one.
+    /// The time of the answer, in seconds since the first answer.
     pub at: f64,
     /// The pose that was commanded.
     pub commanded: [f64; 10],

@@ -30,7 +30,7 @@ impl Default for StreamStatus {
 }
 
 impl StreamStatus {
-    /// Stops the stream after its present cycle. Returns whether this is the first call.
+    /// Stops the stream after its current cycle. Returns whether this is the first call.
     pub fn stop(&self) -> bool {
         !self.stop.swap(true, Relaxed)
     }

@@ -1,4 +1,4 @@
-//! Streams whose loop the caller owns: the caller gives one pose after another, instead of being asked for them.
+//! Streams whose loop the caller owns: the caller passes the poses one by one, instead of implementing a trajectory.
 //!
 //! ```text
 //!  caller   Steps::start         send(pose)                send(pose)             finish
@@ -7,7 +7,7 @@
 //!  engine   ─────┴──── waits ── sends the pose ── waits ── sends the pose ── … ── ends
 //! ```
 //!
-//! [`given`] makes the trajectory, for a program that runs the stream itself. [`Steps`] runs it on a thread, with a blocking
+//! [`given`] creates the trajectory, for a program that runs the stream itself. [`Steps`] runs it on a thread, with a blocking
 //! controller. If the caller gives no pose within the time limit, the robot stops with a ramp, and the stream fails.
 
 use std::sync::Arc;
@@ -48,11 +48,11 @@ pub struct Step {
     pub number: u32,
     /// The pose at the start of the stream, in mm and degrees.
     pub start: Vec<f64>,
-    /// The pose in the last reply of the controller; the start before the first one.
+    /// The pose in the last reply of the controller; the start before the first reply.
     pub actual: Vec<f64>,
 }
 
-/// Why a stream ended that was not finished.
+/// Why a stream ended without being finished.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StepError {
@@ -81,7 +81,7 @@ impl PoseSender {
         let _ = self.poses.send(next);
     }
 
-    /// Returns the result of a stream: one that stopped because a pose was late has failed.
+    /// Returns the result of a stream: a stream that stopped because a pose was late has failed.
     ///
     /// # Errors
     ///
@@ -105,9 +105,9 @@ pub struct GivenPoses<F> {
     is_late: Arc<AtomicBool>,
 }
 
-/// Makes a trajectory of poses that the caller gives, each at most `pose_timeout` after its cycle was passed to `wanted`.
+/// Creates a trajectory of poses that the caller gives, each at most `pose_timeout` after its cycle was passed to `wanted`.
 ///
-/// Its [`next`](Trajectory::next) blocks until the pose is there.
+/// Its [`next`](Trajectory::next) blocks until the pose is available.
 pub fn given<F: FnMut(Step)>(pose_timeout: Duration, wanted: F) -> (PoseSender, GivenPoses<F>) {
     let (sender, poses) = channel();
     let is_late = Arc::<AtomicBool>::default();
@@ -134,8 +134,8 @@ impl<F: FnMut(Step)> Trajectory for GivenPoses<F> {
 /// The controller after a stream, unless its thread panicked, and the result.
 pub type Ended = (Option<Controller>, Result<Stats, StepError>);
 
-/// A stream under way, on a thread that has the controller until the end. Dropping it stops the robot, and waits until the session
-/// has ended.
+/// A running stream, on a thread that owns the controller until the end. Dropping it stops the robot, and waits until the
+/// session has ended.
 #[derive(Debug)]
 pub struct Steps {
     wanted: Receiver<Step>,
@@ -149,7 +149,7 @@ impl Steps {
     #[must_use]
     pub fn start(mut controller: Controller, format: Format, limits: AxisLimits, pose_timeout: Duration) -> Self {
         let (sender, wanted) = channel();
-        // a caller that has gone gives no pose either
+        // if the caller has gone, there is no pose either
         let (poses, mut trajectory) = given(pose_timeout, move |step| drop(sender.send(step)));
         let thread = thread::spawn(move || {
             let ended = controller.arm().and_then(|mut arm| {
@@ -162,7 +162,7 @@ impl Steps {
         Self { wanted, poses, thread: Some(thread) }
     }
 
-    /// Waits for the cycle that needs the next pose; `None` if the stream has ended: [`end`](Self::end) says why.
+    /// Waits for the cycle that needs the next pose; `None` if the stream has ended: [`end`](Self::end) returns the reason.
     #[must_use]
     pub fn wanted(&self) -> Option<Step> {
         self.wanted.recv().ok()

@@ -11,10 +11,10 @@ use serde_json::{Value, json};
 
 const HEAD: &str = "time_s,J1,J2,J3,J4,J5,J6,J7,J8,X,Y,Z,RX,RY,RZ,tool,work";
 
-/// The number of lines after which the file is written at the latest, about a second of motion.
+/// The maximum number of lines that are not in the file, about a second of motion.
 const LINES: u32 = 125;
 
-/// The form of a point in an MCAP file, in degrees and mm.
+/// The schema of a point in an MCAP file, in degrees and mm.
 const SCHEMA: Schema = Schema {
     name: "bcap.Arm",
     json: r#"{"type":"object","properties":{
@@ -76,7 +76,7 @@ struct CsvFile<W: Write> {
 }
 
 impl Trajectory {
-    /// Creates the file, in place of one that exists. `origin_ms` is the wall clock at the controller's time 0.
+    /// Creates the file; an existing file is replaced. `origin_ms` is the wall clock at the controller's time 0.
     ///
     /// # Errors
     ///
@@ -92,7 +92,7 @@ impl Trajectory {
         Ok(Self(Arc::new(Mutex::new(Output { format, failed: None }))))
     }
 
-    /// Writes a point, unless an earlier one failed.
+    /// Writes a point, unless an earlier point failed.
     pub fn add(&self, point: &Point) {
         self.lock().add(point);
     }

@@ -9,8 +9,8 @@ use clap::{Command, Parser};
 
 use crate::{escape, report};
 
-/// Parses the command line, or exits with the help or an error. `adjust` changes what the derive cannot. An empty environment
-/// variable counts as one that is not set.
+/// Parses the command line, or exits with the help or an error. `adjust` makes changes that the derive macro cannot express. An
+/// empty environment variable counts as unset.
 #[must_use]
 pub fn parse_or_exit<P: Parser>(adjust: fn(Command) -> Command) -> P {
     parse::<P, _>(adjust, env::args_os()).unwrap_or_else(|error| {
@@ -40,7 +40,7 @@ fn parse<P: Parser, A: Into<OsString> + Clone>(
         Some(name) if is_empty(name) => argument.env(None::<&str>),
         _ => argument,
     });
-    // not dropped, because the memory of all commands takes a fifth of the time of a start to free
+    // not dropped, because freeing the memory of all commands takes a fifth of the start-up time
     let mut command = ManuallyDrop::new(adjust(command));
     P::from_arg_matches(&command.try_get_matches_from_mut(arguments)?)
 }

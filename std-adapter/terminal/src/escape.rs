@@ -1,12 +1,12 @@
 //! Escapes untrusted text before it is printed.
 //!
 //! Names, values and error texts can come from a controller, a file or a caller. Control characters in them could move the
-//! cursor, reorder the text around them, or begin a new line. [`acts`] is the only list of these characters. Every line that
+//! cursor, reorder the text around them, or start a new line. [`acts`] is the only list of these characters. Every line that
 //! the programs print passes through [`line()`], [`block`], [`json`] or [`failure`].
 
 use std::fmt::{self, Write as _};
 
-/// The longest error or hint, in characters.
+/// The maximum length of an error or hint, in characters.
 const LONGEST: usize = 1000;
 
 /// Returns whether a character acts on a terminal or on the text around it.

@@ -4,10 +4,10 @@ use std::fmt;
 use std::io::{self, IsTerminal as _, Write as _};
 use std::time::{Duration, Instant};
 
-/// The shortest time between two drawings.
+/// The minimum time between two drawings.
 const INTERVAL: Duration = Duration::from_millis(50);
 
-/// The longest line, in characters: a line that wraps could not be removed.
+/// The maximum length of the line, in characters: a wrapped line could not be removed.
 const WIDTH: usize = 79;
 
 /// The characters of a bar.
@@ -29,7 +29,7 @@ impl Default for Progress {
 }
 
 impl Progress {
-    /// Shows a line, unless the last one is too young. `line` gets the time since the start.
+    /// Shows a line, unless the previous line was drawn too recently. `line` gets the time since the start.
     pub fn show(&mut self, line: impl FnOnce(Elapsed) -> String) {
         if self.is_terminal && self.drawn.is_none_or(|drawn| drawn.elapsed() >= INTERVAL) {
             let line: String = line(Elapsed(self.began.elapsed())).chars().take(WIDTH).collect();
@@ -41,7 +41,7 @@ impl Progress {
     /// Prints a line that stays, above the progress.
     pub fn print(&mut self, line: &str) {
         self.clear();
-        // an error of the standard error cannot be reported
+        // if the standard error fails, that cannot be reported
         let _ = writeln!(io::stderr().lock(), "{line}");
     }
 

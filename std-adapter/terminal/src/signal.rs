@@ -4,7 +4,7 @@ use std::io;
 use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 
-/// A signal. A later one outranks an earlier one.
+/// A signal. A later variant outranks an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Signal {
     /// SIGINT: Ctrl-C.
@@ -17,7 +17,7 @@ pub enum Signal {
 
 /// Handles signals from now on, and returns a receiver of them. Call it before other threads are started that use the terminal.
 ///
-/// The terminal does not stop this thread and those that it starts: for a process in the background, output appears in spite of
+/// The terminal does not stop this thread and those that it starts: for a process in the background, output appears despite
 /// `stty tostop`, and input is an error. Otherwise SIGTTOU or SIGTTIN would stop the program in the middle of its work.
 ///
 /// # Errors
@@ -60,7 +60,7 @@ pub fn suspend() {
 
 /// The signals that a program can handle, and what they mean; each would end or suspend a program without a handler.
 ///
-/// Not among them: SIGPIPE, which Rust ignores, and the signals of faults, after which a program cannot go on.
+/// Not among them: SIGPIPE, which Rust ignores, and the signals of faults, after which a program cannot continue.
 #[cfg(unix)]
 fn handled() -> impl Iterator<Item = (i32, Signal)> {
     use rustix::process::Signal as Raw;
@@ -100,8 +100,8 @@ impl Sources {
         let (mut sources, ignored) = (Vec::new(), Ignored::read());
         for (raw, meaning) in handled().filter(|(raw, meaning)| wanted(*raw, *meaning)) {
             let kind = SignalKind::from_raw(raw);
-            // SIGINT and SIGTERM always end a program; a handler of another one would end what `nohup` lets run, or a shell in
-            // the background
+            // SIGINT and SIGTERM always end a program; a handler for any other ignored signal would end programs started with
+            // `nohup`, or by a shell in the background
             let is_required = [SignalKind::interrupt(), SignalKind::terminate()].contains(&kind);
             if !is_required && ignored.has(raw) {
                 continue;
@@ -154,14 +154,14 @@ impl Sources {
 /// When a handler cannot be installed.
 #[cfg(unix)]
 pub fn wait() -> io::Result<impl Future<Output = ()>> {
-    // a server that is suspended goes on later
+    // a suspended server continues later
     let mut sources = Sources::new(|_, meaning| meaning != Signal::Suspend)?;
     Ok(async move {
         let _ = sources.next().await;
     })
 }
 
-/// As [`wait`], but SIGHUP does not complete the future: the second value waits for it.
+/// Same as [`wait`], but SIGHUP does not complete the future: the second value waits for it.
 ///
 /// # Errors
 ///
@@ -179,7 +179,7 @@ pub fn wait_without_hang_up() -> io::Result<(impl Future<Output = ()>, HangUp)> 
     Ok((ended, HangUp(handled)))
 }
 
-/// As [`wait`]: there is no SIGHUP on this platform.
+/// Same as [`wait`]: there is no SIGHUP on this platform.
 ///
 /// # Errors
 ///
@@ -212,7 +212,7 @@ struct Ignored(u64);
 
 #[cfg(unix)]
 impl Ignored {
-    /// Reads the set of this process, once for all signals. Only Linux tells.
+    /// Reads the set of this process, once for all signals. Only Linux provides it.
     fn read() -> Self {
         Self::parse(&std::fs::read_to_string("/proc/self/status").unwrap_or_default())
     }

@@ -6,11 +6,11 @@
 
 use std::collections::HashMap;
 
-/// Splits a line into words, and replaces variables. The words of `literal` begin with `$` and are no variables.
+/// Splits a line into words, and replaces variables. The words of `literal` begin with `$` and are not variables.
 ///
 /// # Errors
 ///
-/// The text of the error: a quote or brace that is not closed, or a variable that is not set.
+/// The text of the error: an unclosed quote or brace, or an unset variable.
 pub fn split(line: &str, variables: &HashMap<String, String>, literal: &[&str]) -> Result<Vec<String>, String> {
     let mut words = Vec::new();
     let mut word: Option<String> = None;

@@ -2,7 +2,7 @@
 
 use crate::frame::{TestFrame, field};
 
-/// One piece of damage; positions are fractions of 65536 of the length.
+/// One change to an encoded frame; positions are fractions of 65536 of the length.
 #[derive(Clone, Copy, Debug)]
 pub enum Damage {
     /// Replaces a byte.

@@ -41,7 +41,7 @@ struct State {
 
 impl Pipe {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // a thread that panicked has left complete bytes
+        // the bytes are complete even after a panic of a thread
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -110,7 +110,7 @@ impl Read for End {
 }
 
 impl Write for End {
-    /// Writes all bytes at once; fails with [`io::ErrorKind::BrokenPipe`] when the other end is dropped.
+    /// Writes all bytes without waiting; fails with [`io::ErrorKind::BrokenPipe`] when the other end is dropped.
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let mut state = self.output.lock();
         if state.is_closed {

@@ -4,13 +4,13 @@ use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashEr
 
 /// A flash that is written in units of `WRITE` bytes and erased in sectors of `ERASE` bytes.
 ///
-/// Writing can only clear bits. Writing a byte and erasing a byte are a step each. When the steps are used up, the power is
-/// cut: the byte of that step gets an arbitrary value between the old and the new one, and all later operations fail. A sector
-/// is erased as a whole, so a power cut also changes its other bytes.
+/// Writing can only clear bits. Writing a byte and erasing a byte are one step each. After the last step the power is cut: the
+/// byte of that step gets an arbitrary value between the old and the new one, and all later operations fail. A sector is erased
+/// as a whole, so a power cut also changes its other bytes.
 #[derive(Clone, Debug)]
 pub struct Flash<const WRITE: usize, const ERASE: usize> {
     bytes: Vec<u8>,
-    /// The steps until the power cut, and those done.
+    /// The steps until the power cut, and the completed steps.
     left: Option<u32>,
     done: u32,
     /// Selects the bits that a power cut changes.
@@ -37,7 +37,7 @@ impl NorFlashError for FlashError {
 }
 
 impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
-    /// Makes a flash with random contents.
+    /// Creates a flash with random contents.
     ///
     /// # Panics
     ///
@@ -54,7 +54,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         Self { left: step, ..self }
     }
 
-    /// Returns the steps that were done.
+    /// Returns the number of completed steps.
     #[must_use]
     pub const fn done(&self) -> u32 {
         self.done
@@ -100,7 +100,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         Ok(())
     }
 
-    /// Does these steps at once if the power is not cut within them.
+    /// Completes these steps together if the power is not cut within them.
     fn skip(&mut self, steps: usize) -> bool {
         let steps = u32::try_from(steps).unwrap();
         if self.left.is_some_and(|left| left <= steps) {

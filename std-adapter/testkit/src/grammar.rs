@@ -1,7 +1,7 @@
 //! Generates requests of a client to a server: valid, nearly valid and hostile calls, bytes and lines.
 //!
-//! A [`Grammar`] contains the functions, names and commands to choose from, so the caller decides which requests a
-//! device may receive. The same bytes give the same steps.
+//! A [`Grammar`] contains the functions, names and commands to choose from, so the caller determines which requests a device
+//! may receive. The same bytes give the same steps.
 //!
 //! # Examples
 //!
@@ -145,8 +145,8 @@ impl Grammar {
         Ok(steps)
     }
 
-    /// Generates an object that is opened and released again and again, which a server with a leak refuses at some time. The
-    /// objects of every second such session are released by the end of the connection.
+    /// Generates an object that is opened and released repeatedly, which a server with a leak refuses at some time. In every
+    /// second such session the end of the connection releases the objects.
     ///
     /// # Errors
     ///
@@ -209,7 +209,7 @@ impl Grammar {
         Ok(Some(Call::new(function, vec![Argument::Handle(Object::Controller), name, option])))
     }
 
-    /// Generates a call: mostly valid, sometimes with one thing wrong.
+    /// Generates a call: mostly valid, sometimes with one fault.
     ///
     /// # Errors
     ///
@@ -270,7 +270,7 @@ impl Grammar {
         })
     }
 
-    /// Makes one thing of a call wrong.
+    /// Adds one fault to a call.
     fn spoil(&self, call: &mut Call, u: &mut Unstructured<'_>) -> Result<()> {
         let place = u.choose_index(call.arguments.len().max(1))?;
         let object = *u.choose(&OBJECTS)?;
@@ -345,7 +345,7 @@ impl Grammar {
         })
     }
 
-    /// Generates lines of RAC: mostly requests, sometimes nearly, sometimes too long or no text.
+    /// Generates lines of RAC: mostly requests, sometimes nearly valid ones, sometimes too long or not text.
     ///
     /// # Errors
     ///

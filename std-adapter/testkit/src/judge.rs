@@ -21,11 +21,11 @@ pub const TCP: Oracle = Oracle { limits: Limits::STREAM, strictness: Strictness:
 pub enum Fault {
     /// The bytes are not a frame, or not a response of RAC.
     Malformed,
-    /// The reply has the serial number of another request: the one of the request, the one of the reply.
+    /// The reply has the serial number of another request: first the serial of the request, then the serial of the reply.
     Serial(u16, u16),
     /// A reply has at most one value; this is the number of values.
     Count(usize),
-    /// A successful reply must have a value of a kind, and has another value or none.
+    /// A successful reply has no value, or not the required kind of value.
     Type {
         /// The kind, in words.
         expected: &'static str,
@@ -34,7 +34,7 @@ pub enum Fault {
     },
     /// A function that does not exist was executed.
     Unknown(i32),
-    /// A function was executed with this number of arguments too few.
+    /// A function was executed although this number of arguments was missing.
     Missing(usize),
 }
 
@@ -117,7 +117,7 @@ const fn noun(kind: Kind) -> &'static str {
     }
 }
 
-/// Returns whether a variable of RAC has such values (RAC specification, sections 3.2 to 4.1).
+/// Returns whether a value has a type of this RAC variable (RAC specification, sections 3.2 to 4.1).
 fn fits(value: &Value, kind: VariableKind) -> bool {
     match (kind.name(), value) {
         ("I", Value::I4(_)) | ("F", Value::R4(_)) | ("D", Value::R8(_)) | ("S", Value::Bstr(_)) => true,

@@ -12,7 +12,7 @@
 //! | [`duplex`]     | a pair of byte streams in memory, and a server on one end                   |             |
 //! | [`wire`]       | the raw end of a TCP, UDP or serial connection, as client or server         |             |
 //! | [`network`]    | a simulated network between a client and a server, with a virtual clock     |             |
-//! | [`restart`]    | starts a device that has stopped again, with a command                      |             |
+//! | [`restart`]    | restarts a device that has stopped, with a command                          |             |
 //! | `generate`     | `Arbitrary` for values and frames                                           | `arbitrary` |
 //! | `grammar`      | steps that are valid, nearly valid and hostile                              | `arbitrary` |
 //! | `fuzz`         | the engine of `bcap fuzz`: sends sessions to a device, reduces and saves findings | `arbitrary` |

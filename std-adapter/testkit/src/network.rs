@@ -15,7 +15,7 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
-/// A generator of random numbers (SplitMix64): small, seeded, the same everywhere.
+/// A generator of random numbers (SplitMix64): small, seeded, identical on all platforms.
 #[derive(Clone, Debug)]
 pub struct Random(pub u64);
 
@@ -34,7 +34,7 @@ impl Random {
         self.number() % end
     }
 
-    /// Returns whether something happens that has this probability, in thousandths.
+    /// Returns true with this probability, in thousandths.
     pub fn happens(&mut self, per_mille: u64) -> bool {
         self.below(1000) < per_mille
     }
@@ -43,30 +43,30 @@ impl Random {
 /// The faults of the network; probabilities in thousandths.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Faults {
-    /// A packet is lost. On a stream nothing is.
+    /// A packet is lost. A stream loses nothing.
     pub loss: u64,
-    /// A packet comes twice.
+    /// A packet arrives twice.
     pub repeat: u64,
-    /// A packet takes up to this long, each its own time, so that packets overtake each other; on a stream they do not.
+    /// The maximum delay of a packet. Each packet has a separate delay, so packets overtake each other, except on a stream.
     pub delay: Duration,
     /// A packet takes up to ten seconds.
     pub straggle: u64,
-    /// A byte is changed; only of use where a checksum sees it.
+    /// A byte is changed; useful only where a checksum detects it.
     pub garble: u64,
-    /// A call runs for up to this long in the server.
+    /// The maximum run time of a call in the server.
     pub work: Duration,
 }
 
-/// The application of the simulated server; it counts how often each token was executed.
+/// The application of the simulated server; it counts the executions of each token.
 #[derive(Debug)]
 pub struct Counter {
-    /// How often each token was executed.
+    /// The number of executions of each token.
     pub executed: HashMap<i32, u32>,
     random: Random,
     work: Duration,
     until: Instant,
     next_handle: i32,
-    /// How many calls were abandoned by the server.
+    /// The number of calls that the server abandoned.
     pub abandoned: u32,
     /// Handles given out and not released, by their object.
     pub open: Vec<(Object, i32)>,
@@ -140,7 +140,7 @@ enum To {
 /// The arrival time of a packet, its number, its content and its destination.
 type Packet = (Instant, u64, To, Vec<u8>);
 
-/// A client, a server, and what lies between them.
+/// A client, a server, and the network between them.
 pub struct Simulation {
     /// The client.
     pub client: Client<[u8; 512]>,
@@ -148,37 +148,37 @@ pub struct Simulation {
     pub session: Session<[u8; 512]>,
     /// The application behind it.
     pub counter: Counter,
-    /// The present.
+    /// The current time.
     pub now: Instant,
-    /// Events of the client, counted by kind: retries, stale replies, malformed ones, keep-alives.
+    /// Events of the client, counted by kind: retries, stale replies, malformed replies, keep-alives.
     pub seen: Seen,
     /// The faults of the network; they can be changed at any time.
     pub faults: Faults,
-    /// The random numbers that decide about faults.
+    /// The random number generator of the faults.
     pub random: Random,
-    /// Packets on their way, the next first; the number keeps those of one instant in order.
+    /// Packets in flight, ordered by arrival time; the number breaks ties.
     wire: BinaryHeap<Reverse<Packet>>,
     sent: u64,
-    /// When the last packet in each direction arrives; a stream's do not overtake it.
+    /// When the last packet in each direction arrives; packets of a stream never overtake it.
     last: [Instant; 2],
     controller: ControllerHandle,
 }
 
-/// How often the client reported what.
+/// The number of client events of each kind.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seen {
     /// Repeated attempts.
     pub retries: u32,
     /// Replies to calls that had ended.
     pub stale: u32,
-    /// Bytes that were no frame.
+    /// Bytes that were not a frame.
     pub malformed: u32,
     /// S_EXECUTING.
     pub executing: u32,
 }
 
 impl Simulation {
-    /// Makes both ends, not yet connected.
+    /// Creates both ends, not yet connected.
     #[must_use]
     pub fn new(client: client::Config, server: server::Config, faults: Faults, seed: u64) -> Self {
         Self {
@@ -221,7 +221,7 @@ impl Simulation {
         self.client.value::<call::Int>()
     }
 
-    /// Begins the call with `token` and leaves it there.
+    /// Begins the call with `token`, without waiting for its end.
     ///
     /// # Errors
     ///
@@ -268,7 +268,7 @@ impl Simulation {
         }
     }
 
-    /// Lets everything arrive that is still on its way, and `more` time pass.
+    /// Delivers the packets in flight, for the duration `more`.
     pub fn settle(&mut self, more: Duration) {
         let end = self.now + more;
         loop {
@@ -285,7 +285,7 @@ impl Simulation {
         self.now = end;
     }
 
-    /// Counts an event of the client; tells how the call ended, if it did.
+    /// Counts an event of the client; returns the outcome of the call if the event ends it.
     fn note(&mut self, event: Option<client::Event>) -> Option<Result<HResult, ClientError>> {
         match event? {
             client::Event::Replied(code) => return Some(Ok(code)),

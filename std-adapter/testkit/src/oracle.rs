@@ -116,7 +116,7 @@ impl Oracle {
             let decoded = self.value(&mut value, empty)?;
             return value.is_empty().then_some(decoded);
         }
-        // a value of unknown type is as long as its argument says, any other as long as it is
+        // a value of unknown type takes the length of its argument, any other value its actual length
         let mut ahead = *input;
         let vartype = le(&mut ahead, 2)? as u16;
         if width(vartype & !ARRAY).is_none() {
@@ -200,7 +200,7 @@ impl Oracle {
     }
 }
 
-/// Returns the least number of bytes that an element takes; `None` for types that the wire cannot carry.
+/// Returns the minimum number of bytes of an element; `None` for types that the wire cannot carry.
 fn width(element: u16) -> Option<usize> {
     Some(match element {
         0 | 1 => 0,

@@ -1,12 +1,12 @@
-//! Starts a device again that has stopped, with a command of the user.
+//! Restarts a device that has stopped, with a command of the user.
 
 use std::io;
 use std::process::{Child, Command, Stdio};
 
 /// Runs a command in a shell each time that the device has stopped, a limited number of times.
 ///
-/// The command may end at once, or be the device itself. In the latter case the next run of the command ends it, and so does the
-/// end of the value. It gets no input, and its output goes to the standard error of this process.
+/// The command may end immediately, or be the device itself. In the latter case the next run of the command ends it, and so
+/// does dropping the restarter. It gets no input, and its output goes to the standard error of this process.
 #[derive(Debug)]
 pub struct Restarter {
     command: String,
@@ -15,7 +15,7 @@ pub struct Restarter {
 }
 
 impl Restarter {
-    /// Makes a restarter that runs `command` at most `most` times.
+    /// Creates a restarter that runs `command` at most `most` times.
     #[must_use]
     pub fn new(command: &str, most: u32) -> Self {
         Self { command: command.into(), left: most, running: None }
@@ -38,7 +38,7 @@ impl Restarter {
     /// Ends a command that still runs.
     fn end(&mut self) {
         let Some(mut child) = self.running.take() else { return };
-        // one that has ended may have left the device in the background, which stays
+        // a command that has ended may have left the device in the background, where it keeps running
         if matches!(child.try_wait(), Ok(None)) {
             kill(&mut child);
             let _ = child.wait();

@@ -64,22 +64,22 @@ pub struct Call {
     pub function: i32,
     /// The arguments.
     pub arguments: Vec<Argument>,
-    /// The serial number; `None` is the next one.
+    /// The serial number; `None` is the next serial.
     pub serial: Option<u16>,
-    /// Whether the reserved field claims a retry: it contains the serial number before.
+    /// Whether the reserved field claims a retry: it contains the previous serial number.
     pub is_retry: bool,
     /// How the bytes are written.
     pub delivery: Delivery,
 }
 
 impl Call {
-    /// A call of a function with the next serial number, written at once.
+    /// A call of a function with the next serial number, written in one piece.
     #[must_use]
     pub const fn new(function: FunctionId, arguments: Vec<Argument>) -> Self {
         Self { function: function.0, arguments, serial: None, is_retry: false, delivery: Delivery::Whole }
     }
 
-    /// Makes the frame: `handle` returns the handle of an argument that is one.
+    /// Creates the frame; `handle` returns the handle of an argument that is a handle.
     #[must_use]
     pub fn to_frame(&self, next_serial: u16, handle: impl Fn(&Argument) -> i32) -> TestFrame {
         let serial = self.serial.unwrap_or(next_serial);
@@ -106,11 +106,11 @@ pub enum Argument {
 /// How the bytes of a call are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delivery {
-    /// All at once.
+    /// All in one write.
     Whole,
-    /// This number of bytes first, then the rest; over UDP then all of them.
+    /// This number of bytes first, then the rest; over UDP then the whole frame.
     Split(u8),
-    /// Together with the next call; over UDP at once.
+    /// Together with the next call; over UDP immediately.
     Joined,
     /// Over UDP, also sends a retransmission after the reply. Over TCP, the same as `Whole`.
     Again,
@@ -255,7 +255,7 @@ pub fn value(word: &str) -> Result<Value, String> {
 ///
 /// # Errors
 ///
-/// When an escape is unknown, or the text is no UTF-8.
+/// When an escape is unknown, or the text is not UTF-8.
 pub fn unquote(word: &str) -> Result<String, String> {
     String::from_utf8(unescape(word)?).map_err(|_| format!("{word} is no UTF-8"))
 }

@@ -18,7 +18,7 @@ pub fn units() -> impl Strategy<Value = Vec<u16>> {
     prop_oneof![vec(unit, 0..12), any::<String>().prop_map(|text| text.encode_utf16().take(16).collect()),]
 }
 
-/// Scalars of one type, but for VARIANT.
+/// Scalars of one type, except VARIANT.
 ///
 /// # Panics
 ///
@@ -45,7 +45,7 @@ pub fn scalar_of(vartype: u16) -> BoxedStrategy<Value> {
     }
 }
 
-/// Bits of doubles: any, and the sort that robots send.
+/// Bits of doubles: any, and those typical of robots.
 fn float_bits() -> impl Strategy<Value = u64> {
     prop_oneof![
         any::<u64>(),
@@ -64,7 +64,7 @@ pub fn scalar() -> impl Strategy<Value = Value> {
     vartype().prop_flat_map(scalar_of)
 }
 
-/// Arrays of every type but VARIANT, empty ones too.
+/// Arrays of every type except VARIANT, including empty arrays.
 pub fn plain_array() -> impl Strategy<Value = Value> {
     vartype().prop_flat_map(|element| vec(scalar_of(element), 0..6).prop_map(move |items| Value::Array(element, items)))
 }

@@ -1,5 +1,5 @@
-//! The oracle of the text format: a recursive, allocating parser with the standard library's floats, and the rule that
-//! decides which values have a text.
+//! The oracle of the text format: a recursive, allocating parser with the standard library's floats, and the rule for which
+//! values have a text.
 //!
 //! Both are written from the grammar, not from the core. Only the instants of dates use the core.
 
@@ -34,7 +34,7 @@ pub fn response(line: &[u8]) -> Option<(i32, Option<Value>)> {
     parse(rest).map(|value| (result, Some(value)))
 }
 
-/// Where a string stands.
+/// The context of a string.
 #[derive(Clone, Copy)]
 struct Place {
     /// In parentheses.
@@ -47,7 +47,7 @@ fn next(rest: &mut &[u8], wanted: u8) -> Option<()> {
     (*first == wanted).then(|| *rest = behind)
 }
 
-/// Splits the front off whose bytes are all of a kind.
+/// Splits off the longest prefix whose bytes are all of one kind.
 fn run<'a>(rest: &mut &'a [u8], of: impl Fn(u8) -> bool) -> &'a [u8] {
     let (front, behind) = rest.split_at(rest.iter().take_while(|b| of(**b)).count());
     *rest = behind;
@@ -211,7 +211,7 @@ fn date(text: &str) -> Option<u64> {
     rest.is_empty().then(|| OleDate::from_civil(civil))?.map(|date| date.raw().to_bits())
 }
 
-/// Returns whether a value has a text.
+/// Returns whether a value has a text form.
 #[must_use]
 pub fn has_text(value: &Value) -> bool {
     has_text_in(value, false)

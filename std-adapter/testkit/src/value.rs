@@ -20,7 +20,7 @@ pub enum Value {
     Cy(i64),
     /// Bits of an `f64`.
     Date(u64),
-    /// 16-bit units, surrogates and NULs as they come.
+    /// 16-bit units, including any surrogates and NULs.
     Bstr(Vec<u16>),
     Error(i32),
     Bool(bool),
@@ -31,7 +31,7 @@ pub enum Value {
     Ui8(u64),
     /// A scalar VARIANT.
     Nested(Box<Value>),
-    /// An array: the VARTYPE of its elements, and these.
+    /// An array: the VARTYPE of its elements, and the elements.
     Array(u16, Vec<Value>),
     /// The result of a lenient decoder for an unknown VARTYPE: the bytes after it.
     Opaque(u16, Vec<u8>),
@@ -45,13 +45,13 @@ pub const ARRAY: u16 = 0x2000;
 pub const SCALARS: [u16; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 17, 18, 19, 20, 21];
 
 impl Value {
-    /// Makes a string.
+    /// Creates a string.
     #[must_use]
     pub fn text(text: &str) -> Self {
         Self::Bstr(text.encode_utf16().collect())
     }
 
-    /// Words the value, at most 160 letters of it; the core words it, but judges nothing.
+    /// Describes the value in at most 160 characters. The core formats it, but judges nothing.
     #[must_use]
     pub fn short(&self) -> String {
         let (wire, deepest) = (self.to_wire(), Limits { depth: MAX_DEPTH, ..Limits::STREAM });
@@ -142,7 +142,7 @@ impl Value {
         }
     }
 
-    /// Returns how deep values are nested, as the core's limit counts them: 0 for one that holds no other.
+    /// Returns how deep values are nested, as the core's limit counts them: 0 for a value without an inner value.
     #[must_use]
     pub fn depth(&self) -> usize {
         match self {
@@ -195,7 +195,7 @@ macro_rules! pick {
     };
 }
 
-/// Sends the value as a user would: from native Rust values where there are some, through the core's encoder.
+/// Sends the value as a user would: as native Rust values where possible, through the core's encoder.
 impl Encode for Value {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
         match self {

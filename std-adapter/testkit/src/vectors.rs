@@ -27,7 +27,7 @@ pub struct FrameVector {
     pub code: i32,
     /// The number of arguments.
     pub count: usize,
-    /// The arguments, where the file spells them out.
+    /// The arguments, if the file lists them.
     pub args: Option<Vec<Value>>,
 }
 

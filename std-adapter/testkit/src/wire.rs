@@ -1,4 +1,4 @@
-//! The raw end of a connection: packets as they come, valid or not, with a time limit for every wait.
+//! The raw end of a connection: packets as they arrive, valid or not, with a time limit for every wait.
 //!
 //! | link                    | a packet                                                        |
 //! |-------------------------|-----------------------------------------------------------------|
@@ -18,7 +18,7 @@ use bcap_core::limits::Limits;
 
 use crate::frame::field;
 
-/// The pause between two looks for a client, because a listener has no time limit.
+/// The pause between two checks for a client, because a listener has no time limit.
 const LOOK: Duration = Duration::from_millis(5);
 
 /// The link of b-CAP.
@@ -56,7 +56,7 @@ pub trait Recorder {
 #[derive(Debug)]
 enum Socket {
     Stream(TcpStream),
-    /// A client's port, connected, so that a closed port of the server is noticed.
+    /// A client's port, connected, so that a closed port of the server is detected.
     Datagrams(UdpSocket),
     /// A server's port, which other clients use too.
     Shared(UdpSocket, SocketAddr),
@@ -72,11 +72,11 @@ enum Framing {
 /// The received bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Received {
-    /// A packet; bytes, which are empty if no more arrived in time.
+    /// A packet; bytes, which are empty if no more bytes arrived in time.
     Packet(Vec<u8>),
     /// The peer closed or reset the connection, or has closed its port for datagrams.
     Closed,
-    /// Nothing came in time.
+    /// Nothing arrived in time.
     Silence,
 }
 
@@ -187,7 +187,7 @@ impl Wire {
         other.send_to(bytes, *peer).map(drop)
     }
 
-    /// Ends the sent direction of a stream, and keeps the other one.
+    /// Shuts down the sending direction of a stream, and keeps the other direction.
     ///
     /// # Errors
     ///
@@ -196,7 +196,7 @@ impl Wire {
         self.stream().map_or(Ok(()), |stream| stream.shutdown(Shutdown::Write))
     }
 
-    /// Returns whether the peer took no more bytes within the time limit.
+    /// Returns whether the peer stopped accepting bytes for longer than the time limit.
     #[must_use]
     pub const fn is_stuck(&self) -> bool {
         self.is_stuck
@@ -287,7 +287,7 @@ impl Wire {
 
     /// Closes the connection, and waits until the peer has closed it too: a small device then has room for the next one.
     pub fn close(mut self, limit: Duration) {
-        // a peer that has closed the connection already is no error
+        // a connection that the peer has closed already is not an error
         if self.stream().is_none() || self.finish().is_err() {
             return;
         }
@@ -303,7 +303,7 @@ impl Wire {
     }
 }
 
-/// A port at which clients are served, one after the other.
+/// A port at which clients are served sequentially.
 #[derive(Debug)]
 pub enum Listener {
     /// A port for TCP.
@@ -317,7 +317,7 @@ impl Listener {
     ///
     /// # Errors
     ///
-    /// When the address cannot be listened on.
+    /// When listening on the address fails.
     pub fn bind(link: Link, address: SocketAddr) -> io::Result<Self> {
         Ok(match link {
             Link::Tcp | Link::Serial => Self::Tcp(TcpListener::bind(address)?),
@@ -329,7 +329,7 @@ impl Listener {
     ///
     /// # Errors
     ///
-    /// When the operating system does not tell it.
+    /// If the operating system does not return the address.
     pub fn address(&self) -> io::Result<SocketAddr> {
         match self {
             Self::Tcp(listener) => listener.local_addr(),

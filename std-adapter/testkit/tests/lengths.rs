@@ -19,10 +19,10 @@ use bcap_testkit::value::{ARRAY, VARIANT, Value};
 
 const BOTH: [Strictness; 2] = [Strictness::Strict, Strictness::Lenient];
 
-/// Every VARTYPE that the wire carries, but for VARIANT.
+/// Every VARTYPE that the wire carries, except VARIANT.
 const SCALARS: [u16; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 17, 18, 19, 20, 21];
 
-/// The numbers around every power of two, around what overflows with every width of an element, and all small ones.
+/// The numbers around every power of two, around what overflows with every width of an element, and all small numbers.
 fn edges() -> Vec<u32> {
     let around = |n: u64| (n.saturating_sub(2)..=n + 2).filter_map(|n| u32::try_from(n).ok());
     let powers = (0..=32).map(|bit| 1_u64 << bit);
@@ -33,7 +33,7 @@ fn edges() -> Vec<u32> {
     edges
 }
 
-/// Checks that the core and the second decoder say the same of a frame.
+/// Checks that the core and the second decoder agree about a frame.
 fn same_verdict(decoder: Decoder, bytes: &[u8]) {
     let Decoder { limits, strictness, crc } = decoder;
     let ours = match decoder.decode(bytes) {
@@ -61,7 +61,7 @@ fn the_length_of_a_frame_is_right_at_every_edge() {
     let frame = TestFrame { serial: 7, reserved: 0, code: 3, args: vec![Value::I4(5), Value::text("abc")] };
     for crc in [false, true] {
         let wire = frame.to_wire(crc);
-        // limits at the edges, too, up to frames that no address space holds
+        // limits at the edges too, up to frames larger than any address space
         for limit in edges().into_iter().step_by(5).chain([wire.len() as u32, u32::MAX]) {
             for length in edges().into_iter().chain([wire.len() as u32, limit.wrapping_add(1)]) {
                 for strictness in BOTH {

@@ -72,7 +72,7 @@ pub struct Call {
     pub arguments: Vec<Argument>,
     /// The number of requests that were sent, with retransmissions.
     pub attempts: u32,
-    /// How often the server said that the call is still running.
+    /// The number of keep-alives: the server reported that the call was still running.
     pub executing: u32,
     /// `None` if the capture has no reply.
     pub reply: Option<Reply>,

@@ -1,4 +1,4 @@
-//! The conversations of a capture: which packets belong together, which protocol they speak, who is the client.
+//! The conversations of a capture: their packets, their protocol, and which end is the client.
 
 use std::collections::{BTreeMap, HashMap};
 use std::net::SocketAddr;
@@ -19,7 +19,7 @@ use crate::role::Role;
 /// The protocol of a conversation.
 #[derive(Debug)]
 enum Protocol {
-    /// No packet with data so far, and no known port.
+    /// No packet with data yet, and no known port.
     Unknown,
     Bcap(Session),
     Rac(RacLines),
@@ -35,7 +35,7 @@ struct Conversation {
     name: String,
     /// Whether its protocol and its ends have been reported.
     is_reported: bool,
-    /// The two ends; the first is the one whose packet came first.
+    /// The two ends; the first is the sender of the first packet.
     ends: [SocketAddr; 2],
     /// Which end is the client.
     client: Option<usize>,
@@ -60,7 +60,7 @@ fn key(is_tcp: bool, one: SocketAddr, other: SocketAddr) -> ConversationKey {
 pub(crate) struct Conversations {
     strictness: Strictness,
     by_ends: HashMap<ConversationKey, Conversation>,
-    /// The number of conversations so far.
+    /// The number of conversations until now.
     count: usize,
     events: Vec<Event>,
     fragments: Fragments,
@@ -68,7 +68,7 @@ pub(crate) struct Conversations {
     unusable: usize,
     /// The time of the first fragment.
     fragmented: Option<u64>,
-    /// Packets that were skipped, with the time of the first one.
+    /// Packets that were skipped, with the time of the first of them.
     links: BTreeMap<i32, (u64, u64)>,
 }
 
@@ -120,14 +120,14 @@ impl Conversations {
         conversation.segment(segment, &mut self.events);
     }
 
-    /// Ends the conversation between two ends: no more packets of it come.
+    /// Ends the conversation between two ends: no more packets of it follow.
     pub(crate) fn close(&mut self, is_tcp: bool, one: SocketAddr, other: SocketAddr) {
         if let Some(mut ended) = self.by_ends.remove(&key(is_tcp, one, other)) {
             ended.end(&mut self.events);
         }
     }
 
-    /// Takes the results of the packets so far: connections, and calls with their replies.
+    /// Takes the results of all packets until now: connections, and calls with their replies.
     pub(crate) fn take_events(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.events)
     }
@@ -180,7 +180,7 @@ impl Conversation {
         }
     }
 
-    /// Returns whether a segment belongs to this conversation, and not to a later one between the same ports.
+    /// Returns whether a segment belongs to this conversation, and not to a later connection between the same ports.
     fn has(&self, segment: &Segment<'_>) -> bool {
         segment.tcp.and_then(|tcp| tcp.opens()).is_none_or(|first| self.first == Some(first))
     }
@@ -196,7 +196,7 @@ impl Conversation {
     }
 
     fn tcp(&mut self, from: usize, tcp: &Tcp, segment: &Segment<'_>, events: &mut Vec<Event>) {
-        // a reply shows that its request arrived, so the bytes that it acknowledges come first
+        // a reply shows that its request arrived, so the bytes that it acknowledges are processed first
         if let Some(acknowledged) = tcp.acknowledged {
             let mut pieces = Vec::new();
             self.halves[1 - from].acknowledged(acknowledged, &mut pieces);
@@ -210,7 +210,7 @@ impl Conversation {
     fn pieces(&mut self, from: usize, pieces: Vec<Piece>, at: u64, events: &mut Vec<Event>) {
         for piece in pieces {
             match piece {
-                // bytes that waited for others count from when these arrived
+                // bytes that waited for missing bytes get the arrival time of the missing bytes
                 Piece::Bytes(bytes) => self.bytes(from, &bytes, at, events),
                 Piece::Missing(count) => {
                     let role = self.role(from);

@@ -46,7 +46,7 @@ impl Interface {
 
 /// Passes each packet of a file to `each`.
 ///
-/// An error is returned after the packets before it.
+/// An error is returned after the preceding packets were passed on.
 pub(crate) fn read(path: &Path, mut each: impl FnMut(Packet<'_>)) -> Result<(), Error> {
     let failed = |reason: &str| Error::invalid(path, reason);
     let file = File::open(path).map_err(|source| Error::Open { path: path.to_owned(), source })?;
@@ -93,7 +93,8 @@ fn meaning<I>(error: &PcapError<I>) -> &'static str {
     }
 }
 
-/// Returns the resolution that a byte of if_tsresol means: a power of 10, or of 2 with the highest bit. pcap-parser 0.17 knows no power of 2.
+/// Returns the resolution that a byte of if_tsresol means: a power of 10, or of 2 with the highest bit. pcap-parser 0.17 does
+/// not support powers of 2.
 fn ticks_per_second(resolution: u8) -> u64 {
     let power = u32::from(resolution & 0x7f);
     let ticks = if resolution < 0x80 { 10_u64.checked_pow(power) } else { 1_u64.checked_shl(power) };
@@ -104,7 +105,7 @@ fn add_block(block: &PcapBlockOwned<'_>, interfaces: &mut Vec<Interface>, each: 
     match block {
         PcapBlockOwned::LegacyHeader(header) => {
             let ticks_per_second = if header.is_nanosecond_precision() { NANOS } else { 1_000_000 };
-            // the upper bits may tell the length of the check sequence of Ethernet
+            // the upper bits may contain the length of the check sequence of Ethernet
             let link = Linktype(header.network.0 & 0xffff);
             interfaces.push(Interface { link, ticks_per_second, offset: 0 });
         }

@@ -28,7 +28,7 @@ pub struct Filter {
 pub enum ErrorFilter {
     /// Calls that failed or have no reply.
     Any,
-    /// Calls with this code, also one of success.
+    /// Calls with this code, even a success code.
     Code(HResult),
 }
 
@@ -91,7 +91,7 @@ pub fn function_name(name: &str) -> Result<String, String> {
     known.ok_or_else(|| format!("no function is named {name:?}; write a name of `bcap call --list`, GET or PUT"))
 }
 
-/// Returns whether an object is the wanted one, or belongs to it.
+/// Returns whether an object is the wanted object, or belongs to it.
 pub(crate) fn is_object(name: &str, wanted: &str) -> bool {
     name.eq_ignore_ascii_case(wanted)
         || name.split('/').any(|part| part.eq_ignore_ascii_case(wanted))

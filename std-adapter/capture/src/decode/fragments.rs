@@ -5,13 +5,13 @@ use std::net::Ipv4Addr;
 
 use etherparse::{IpNumber, LaxIpv4Slice};
 
-/// The maximum number of incomplete packets; another one drops the oldest.
+/// The maximum number of incomplete packets; one more drops the oldest.
 const PACKETS: usize = 64;
 
-/// The largest payload of a packet; also the most bytes of its fragments, which may overlap.
+/// The maximum payload of a packet, and the maximum number of bytes of its fragments, which may overlap.
 const LARGEST: usize = 65_535;
 
-/// The longest time from the first fragment to the last, in nanoseconds: identifications are used again.
+/// The maximum time from the first fragment to the last, in nanoseconds, because identifications are reused.
 const LONGEST: u64 = 30_000_000_000;
 
 /// A fragment.

@@ -17,7 +17,7 @@ pub(crate) struct RacLines {
     partial: [Vec<u8>; 2],
     /// Requests without a response, in order.
     pending: VecDeque<Call>,
-    /// The number of requests so far.
+    /// The number of requests until now.
     count: u64,
 }
 
@@ -62,7 +62,7 @@ impl RacLines {
     }
 
     fn line(&mut self, role: Role, line: &[u8], at: u64, out: &mut Vec<Found>) {
-        // a line needs no more bytes as a value than as text, except strings: two bytes a character, and heads
+        // a value takes no more bytes than its text, except headers, and strings with two bytes for each character
         let mut memory = vec![0; 16 * line.len() + 64];
         match role {
             Role::Request => {
@@ -81,7 +81,7 @@ impl RacLines {
                 Ok(response) => self.response(&response, at, out),
                 Err(error) => {
                     out.push(Found::Note(at, format!("server: invalid line {}: {error}", shown(line))));
-                    // it takes the place of the response
+                    // it replaces the response
                     out.extend(self.pending.pop_front().map(|call| Found::Call(Box::new(call))));
                 }
             },

@@ -9,7 +9,7 @@ use super::file::Packet;
 use super::print::{Format, Printer};
 use crate::record::Recorded;
 
-/// Turns recorded packets into lines, as a [`Printer`] writes them. A call is a line when its reply has arrived.
+/// Turns recorded packets into lines, as a [`Printer`] writes them. A call becomes a line when its reply has arrived.
 #[derive(Debug)]
 pub struct Live {
     conversations: Conversations,
@@ -18,7 +18,7 @@ pub struct Live {
 }
 
 impl Live {
-    /// No packets so far.
+    /// No packets yet.
     #[must_use]
     pub fn new(format: Format) -> Self {
         Self { conversations: Conversations::new(Strictness::Lenient), format, printer: None }

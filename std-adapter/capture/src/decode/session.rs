@@ -12,7 +12,7 @@ use crate::json::LIMITS;
 use crate::role::Role;
 use bcap_core::variant::OwnedVariant as Value;
 
-/// The number of latest calls that a retransmission may repeat: serial numbers wrap.
+/// The number of most recent calls that a retransmission may repeat, because serial numbers wrap.
 const LATEST_CALLS: u64 = 1 << 15;
 
 /// The finding of a session in received bytes.
@@ -41,7 +41,7 @@ pub(crate) struct Session {
     decoder: Decoder,
     /// Bytes of incomplete frames, from the client and from the server.
     partial: [Vec<u8>; 2],
-    /// Whether the next bytes of each may be in the middle of a frame.
+    /// Whether the next bytes of each direction may be in the middle of a frame.
     is_lost: [bool; 2],
     /// Calls without a reply, by an index that counts calls.
     pending: HashMap<u64, Pending>,

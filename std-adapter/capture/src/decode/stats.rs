@@ -41,7 +41,7 @@ impl Stats {
     /// Counts a call.
     pub fn add(&mut self, call: &Call) {
         let new = || Figures { calls: 0, errors: 0, unanswered: 0, retries: 0, times: Times::new() };
-        // other protocols on the port of RAC have a line like no other for each request
+        // other protocols on the port of RAC would add one function for each distinct line
         let is_line = call.serial.is_none() && !matches!(call.function.as_str(), "GET" | "PUT");
         let name = if is_line { "(invalid lines)".to_owned() } else { call.full_name() };
         let figures = self.functions.entry(name).or_insert_with(new);
@@ -69,7 +69,7 @@ impl Stats {
         }
     }
 
-    /// Returns one line for each function; as text, also a heading.
+    /// Returns one line for each function; text begins with a heading.
     #[must_use]
     pub fn lines(&self, format: Format) -> Vec<String> {
         if format == Format::Json {

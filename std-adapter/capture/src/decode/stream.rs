@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::packet::Tcp;
 
-/// The maximum number of bytes that wait for missing ones. Beyond that the missing bytes are given up.
+/// The maximum number of bytes that wait for missing bytes. Above that the missing bytes are skipped.
 const MOST_WAITING: usize = 4 << 20;
 
 /// The new bytes of a segment in its direction.
@@ -14,7 +14,7 @@ pub(crate) enum Piece {
     Bytes(Vec<u8>),
     /// The capture does not have this many bytes.
     Missing(u64),
-    /// A segment had bytes that were known.
+    /// A segment repeated earlier bytes.
     Retransmission,
     /// A segment arrived before bytes in front of it.
     Reordered,
@@ -36,7 +36,7 @@ impl Half {
     /// Adds a segment of this direction.
     pub(crate) fn segment(&mut self, tcp: &Tcp, payload: &[u8], out: &mut Vec<Piece>) {
         let first = tcp.sequence.wrapping_add(u32::from(tcp.syn));
-        // far from zero, so that a segment in front of the first one has a position too
+        // far from zero, so that a segment before the first one has a position too
         let (next_sequence, next) = *self.next.get_or_insert((first, 1 << 40));
         if payload.is_empty() {
             return;
@@ -73,12 +73,12 @@ impl Half {
         }
     }
 
-    /// Ends the direction: missing bytes will not come.
+    /// Ends the direction: missing bytes will not arrive.
     pub(crate) fn end(&mut self, out: &mut Vec<Piece>) {
         self.give_up(u64::MAX, out);
     }
 
-    /// Skips missing bytes in front of waiting ones, as far as waiting bytes begin before `limit`.
+    /// Skips missing bytes that precede waiting bytes, as long as those begin before `limit`.
     fn give_up(&mut self, limit: u64, out: &mut Vec<Piece>) {
         while let (Some((sequence, next)), Some((&start, _))) = (self.next, self.waiting.first_key_value()) {
             if start >= limit {

@@ -10,7 +10,7 @@ use crate::record::{Recorder, Recording};
 /// The maximum number of clients over UDP, and of connections of each TCP port: each needs a socket to the robot and memory.
 pub(super) const CLIENTS: usize = 256;
 
-/// How long a client that waits for a reply keeps its slot: its end would stop a motion.
+/// The time during which a client that waits for a reply keeps its slot: its disconnection would stop a motion.
 pub(super) const CALL: Duration = Duration::from_secs(600);
 
 /// The state that all tasks share.
@@ -20,7 +20,7 @@ pub(super) struct Shared {
     pub(super) connect_timeout: Duration,
     plan: Arc<FaultPlan>,
     seed: u64,
-    /// The number of connections so far.
+    /// The number of connections until now.
     count: Arc<AtomicU64>,
     /// Whether the server of a recorded connection is the address that the client used, instead of the robot's.
     pub(super) shows_listener: bool,

@@ -22,7 +22,7 @@ use crate::faults::Faults;
 use crate::record::{Ends, Recorder};
 use crate::role::Role;
 
-/// The maximum number of bytes that are forwarded at once.
+/// The maximum number of bytes that are forwarded in one step.
 const BUFFER: usize = 64 << 10;
 
 /// The time to wait when a connection cannot be accepted, such as without a free file descriptor.
@@ -52,7 +52,7 @@ pub(super) async fn listen(listener: TcpListener, robot: Arc<[SocketAddr]>, is_r
         match accepted {
             Ok((stream, client)) if !has_slot(&mut holders) => {
                 drop(stream);
-                // one note until a slot is free, even if a client connects again and again
+                // one note until a slot is free, even if a client connects repeatedly
                 if !std::mem::replace(&mut is_full, true) {
                     let ends = Ends { is_tcp: true, client, server: robot.first().copied().unwrap_or(client) };
                     shared.recorder.note(ends, format!("closed connections: {CLIENTS} connections are open"));
@@ -138,7 +138,7 @@ async fn connection(
     let shown = if shared.shows_listener { stream.local_addr() } else { server.peer_addr() };
     let ends = Ends { is_tcp: true, client, server: shown.unwrap_or(first) };
     recorder.opened(ends);
-    // an error shows in the first read
+    // the first read reports an error
     let _ = (stream.set_nodelay(true), server.set_nodelay(true));
     let faults = shared.faults(activity.is_rac).map(|faults| Arc::new(Mutex::new(faults)));
     let direction = |sender, from, to| Direction {

@@ -19,13 +19,13 @@ use crate::faults::Faults;
 use crate::record::{Ends, Recorder};
 use crate::role::Role;
 
-/// The silence of the robot after which a client's socket is closed. A client that comes back gets another one.
+/// The silence of the robot after which a client's socket is closed. A client that returns gets a new socket.
 const SILENCE: Duration = Duration::from_secs(600);
 
 /// The same after the reply to Service_Stop, which the client requests again if it is lost.
 const STOPPED: Duration = Duration::from_secs(5);
 
-/// The same for a client that the robot has never answered.
+/// The same for a client without any reply from the robot.
 const UNANSWERED: Duration = Duration::from_secs(30);
 
 /// The slots for clients.

@@ -22,8 +22,8 @@ impl Budget {
         Self { limit, state: Mutex::default(), changed: Condvar::new() }
     }
 
-    /// Waits until so many bytes are free, and reserves them. An entry above the limit waits until it is alone. Nothing waits
-    /// after the end of the thread that writes.
+    /// Waits until `bytes` bytes are free, and reserves them. An entry above the limit waits until the queue is empty. Once the
+    /// writer thread has ended, calls return immediately.
     pub(super) fn take(&self, bytes: usize) {
         let is_full =
             |state: &mut BudgetState| !state.closed && state.used > 0 && state.used.saturating_add(bytes) > self.limit;

@@ -82,7 +82,7 @@ impl Flow {
         vec![first, second, self.tcp(Role::Request, self.next_header(Role::Request), &[])]
     }
 
-    /// The header of a segment that acknowledges all bytes so far.
+    /// The header of a segment that acknowledges all preceding bytes.
     fn next_header(&self, sender: Role) -> TcpHeader {
         match sender {
             Role::Request => self.header(sender, self.client, Some(self.server)),

@@ -13,7 +13,7 @@ pub(super) struct Tape<W, F> {
     file: Option<Writer<W>>,
     each: F,
     flows: HashMap<Ends, Flow>,
-    /// The number of flows so far.
+    /// The number of flows until now.
     count: u32,
 }
 

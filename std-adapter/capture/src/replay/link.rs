@@ -32,7 +32,7 @@ pub enum Came {
     Nothing(String),
 }
 
-/// A call that was made again, or that could not be made.
+/// A call that was replayed, or that could not be made.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Outcome<'a> {
@@ -52,12 +52,12 @@ pub(super) struct LinkReplay<'a> {
     /// When the replay began; `None` to make calls as soon as possible.
     pub(super) began: Option<Instant>,
     pub(super) options: &'a ReplayOptions,
-    /// Why the effects of connections were perhaps not ended, for people.
+    /// The reasons why the effects of connections may not have ended, for people.
     pub(super) failed_ends: &'a Mutex<Vec<String>>,
 }
 
 impl<'a> LinkReplay<'a> {
-    /// Makes the calls in turn, and sends the outcome of each, until the replay stops.
+    /// Makes the calls in sequence, and sends the outcome of each, until the replay stops.
     pub(super) fn run(&self, outcomes: &Sender<Outcome<'a>>) {
         let mut opened = None;
         for planned in &self.planned.calls {
@@ -71,7 +71,7 @@ impl<'a> LinkReplay<'a> {
                 Err(why) => Came::Nothing(why.clone()),
             };
             if matches!(link, Ok(link) if link.is_lost) {
-                // the other calls of this connection cannot be made
+                // the remaining calls of this connection cannot be made
                 let lost = std::mem::replace(link, Err("not sent: the connection was lost".into()));
                 self.close(lost);
             }
@@ -85,7 +85,7 @@ impl<'a> LinkReplay<'a> {
         if let Ok(OpenLink { socket: Socket::Bcap(controller), .. }) = link
             && let Err(error) = controller.end()
         {
-            // a thread that panicked has left a list of texts
+            // the list of texts is valid even after a panic of a thread
             self.failed_ends.lock().unwrap_or_else(PoisonError::into_inner).push(with_causes(&error));
         }
     }
@@ -177,7 +177,7 @@ fn differs(recorded: &Reply, came: &Came, is_volatile: bool) -> bool {
     recorded.opened.is_none() && code.is_ok() && bytes(recorded.value.as_ref()) != bytes(value.as_ref())
 }
 
-/// The present handles by the recorded ones; `None` for an object that is not open in this replay.
+/// The current handles by the recorded ones; `None` for an object that is not open in this replay.
 type Handles = HashMap<i32, Option<i32>>;
 
 const NOT_DECODED: &str = "an argument cannot be decoded";
@@ -211,7 +211,7 @@ impl OpenLink {
 
     /// Records the objects that the call has opened or released in this replay.
     ///
-    /// The robot may give the number of a released object to another one, so the number must not be sent any more.
+    /// The robot may reuse the number of a released object for another object, so the number must no longer be sent.
     fn remember(&mut self, call: &Call, came: &Came) {
         let (is_done, value) = match came {
             Came::Reply(code, value) => (code.is_ok(), value.as_ref().filter(|_| code.is_ok())),
@@ -259,7 +259,7 @@ fn bcap(controller: &mut Controller, call: &Call, handles: &Handles) -> (Came, b
     }
 }
 
-/// Returns the arguments of a call with the present handles; an error says why the call must not be sent.
+/// Returns the arguments of a call with the current handles; an error says why the call must not be sent.
 fn arguments(call: &Call, function: FunctionId, handles: &Handles) -> Result<Vec<Value>, &'static str> {
     let kinds = function.signature().map_or(&[][..], |signature| signature.arguments);
     let argument = |(i, argument): (usize, &Argument)| match kinds.get(i) {

@@ -1,4 +1,5 @@
-//! The order of calls of different connections: calls that were answered before a call are answered before it again.
+//! The order of calls of different connections: a call is sent only after every call that was answered before it in the
+//! capture.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -27,7 +28,7 @@ impl Order {
     /// Waits until the first `count` calls have ended and no time is `left`. Returns false if the replay has stopped.
     pub(super) fn wait(&self, count: usize, left: impl Fn() -> Duration) -> bool {
         let mut state = self.lock();
-        // a thread that panicked has left the numbers in order
+        // the numbers are consistent even after a panic of a thread
         while !state.is_stopped {
             let left = left();
             if !left.is_zero() {

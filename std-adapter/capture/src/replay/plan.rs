@@ -43,7 +43,7 @@ pub(super) struct PlannedCall {
     pub(super) call: Call,
     /// The time since the first call of the capture.
     pub(super) offset: Duration,
-    /// How many calls were answered before this one was made.
+    /// The number of calls that were answered before this call was made.
     pub(super) after: usize,
     /// Its rank among the answered calls, by the time of their replies; `None` without a reply.
     pub(super) rank: Option<usize>,
@@ -77,8 +77,8 @@ impl Plan {
             let at = planned.call.at;
             planned.offset = Duration::from_nanos(at.saturating_sub(began));
             // A call waits for its predecessor in the connection, whose time is not later, and for calls whose end, and so
-            // whose time, is earlier. A cycle of calls that wait for each other would need only equal times, so only
-            // predecessors in one connection, which have no cycle. With `<=` a call could wait for its own end.
+            // whose time, is earlier. In a cycle of calls that wait for each other all times would be equal, so all waits would
+            // be for predecessors in one connection, which form no cycle. With `<=` a call could wait for its own end.
             planned.after = ends.partition_point(|(end, _)| *end < at);
             planned.rank = ranks.get(&index).copied();
         }
@@ -115,7 +115,7 @@ impl Plan {
 }
 
 /// Returns the connections that have calls. Their calls are in the order of the requests, and no call is earlier than its
-/// predecessor, also if the clock of the capture ran backward.
+/// predecessor, even if the clock of the capture ran backward.
 fn links(events: Vec<Event>) -> Result<Vec<PlannedLink>, Error> {
     let (mut links, mut calls) = (Vec::new(), HashMap::<_, Vec<Call>>::new());
     for event in events {

@@ -44,8 +44,8 @@ pub fn from_typed_input(text: &str) -> Result<Value, String> {
 
 /// Parses user input for a variable that now holds `current`: plain data of its type.
 ///
-/// An input that could be both is refused, because `3,14` for a float is more likely a decimal comma than the I4 14. The
-/// exception is an array: `TYPE,DATA` with the variable's own type and length is one value too long to be plain data.
+/// An ambiguous input is refused, because `3,14` for a float is more likely a decimal comma than the I4 14. The exception is an
+/// array: `TYPE,DATA` with the variable's own type and length is one value too long to be plain data.
 ///
 /// # Errors
 ///
@@ -56,7 +56,7 @@ pub fn from_input(text: &str, current: Variant<'_>) -> Result<Value, String> {
         return Err(format!("{text}: the variable's type is unknown; TYPE,DATA needs --typed"));
     }
     let (with_type, holds) = (from_typed(text), expected(current));
-    // an empty array does not tell the length that it may have
+    // an empty array does not show its permitted length
     let fits = |value: &Value| match (elements(value.as_variant()), elements(current)) {
         (Some(_), Some(0)) => true,
         (found, holds) => found == holds,
@@ -139,7 +139,7 @@ fn expected(current: Variant<'_>) -> String {
     }
 }
 
-/// Returns a suggestion that can be written as it is: a point for a decimal comma, no separators of thousands, commas between
+/// Returns a suggestion that can be written unchanged: a point for a decimal comma, no separators of thousands, commas between
 /// the elements of an array. It is empty if none of them is a value of the variable.
 fn hint(text: &str, current: Variant<'_>) -> String {
     let groups: Vec<&str> = text.split(',').collect();

@@ -79,8 +79,8 @@ impl Selected<'_> {
     }
 }
 
-/// Returns the names of all selected variables, in order; `count` tells how many variables a kind has, and is called once for each
-/// kind.
+/// Returns the names of all selected variables, in order; `count` returns the number of variables of a kind, and is called once
+/// for each kind.
 ///
 /// # Errors
 ///
@@ -92,8 +92,8 @@ pub fn names_of<E>(
     selected(selections, count).map(names)
 }
 
-/// Returns the names as [`names_of`] does if there are at most `limit`, and otherwise how many there are. It builds no name before
-/// that is known: a few words can select millions of variables.
+/// Returns the names as [`names_of`] does if there are at most `limit`, and otherwise their number. It counts before it builds
+/// any name: a few words can select millions of variables.
 ///
 /// # Errors
 ///
@@ -207,7 +207,7 @@ mod tests {
         assert_eq!(within(&vec![parse("I0-I65535"); 5400], 1000), Err(5400 << 16));
         let impossible = Selection::Range(VariableKind::I, 0, u32::MAX);
         assert_eq!(within(&[impossible], 1000), Err(u32::MAX as usize));
-        // the controller is asked once for each kind, whatever the number of words
+        // the controller is queried once for each kind, whatever the number of words
         let mut asked = Vec::new();
         let all = [vec![parse("I*"); 10_000], vec![parse("IO*"); 10_000]].concat();
         let names = names_within(&all, 1000, |kind| {

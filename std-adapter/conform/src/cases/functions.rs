@@ -28,7 +28,7 @@ pub(super) fn cases() -> impl Iterator<Item = Case> {
     })
 }
 
-/// Returns the level of the arguments below: a call that succeeds although it must not would have this effect.
+/// Returns the level of the arguments below: a call that wrongly succeeds would have this effect.
 fn level(function: FunctionId) -> Level {
     level_of(function.properties(Some(""), Some("")).effect)
 }

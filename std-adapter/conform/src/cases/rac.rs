@@ -31,7 +31,7 @@ pub(super) const FUNCTIONS: &[(&str, Run)] = &[
 
 const GET: &str = "GET:RC8:1:I:\r";
 
-/// Whether an error of the first PUT says that the device lets nothing be written.
+/// Returns whether an error of the first PUT means that the device does not allow writes.
 fn is_read_only(answer: &str) -> bool {
     let denied = [HResult::E_ACCESSDENIED, HResult::E_CAO_OBJECT_NOTFOUND, HResult::DISP_E_BADINDEX];
     denied.iter().any(|code| answer == code.0.to_string())
@@ -50,7 +50,7 @@ fn put_and_get(bench: &mut Bench<'_>, kind: &str, value: &str, wanted: &str) -> 
     {
         return skip(format!("{kind}{index} cannot be written: {answer}"));
     }
-    // a PUT without an answer may have written the variable, too
+    // a PUT without an answer may have written the variable too
     let answers = put.and_then(|put| Ok((put, ask(bench, &mut wire, &get)?)));
     let wire = answers.is_ok().then_some(wire);
     let restored = restore(bench, wire, &format!("PUT:RC8:{index}:{kind}:{old}\r"));
@@ -66,7 +66,7 @@ fn check_put(put: &str, after: String, wanted: &str) -> Result<(), Stop> {
     }
 }
 
-/// Turns a failure into a skip, because the specification does not ask for the reaction.
+/// Turns a failure into a skip, because the specification does not require the reaction.
 fn beyond(result: Result<(), Stop>) -> Result<(), Stop> {
     match result {
         Err(Stop::Fail { expected, came }) => {

@@ -24,7 +24,7 @@ fn connect_before_start(bench: &mut Bench<'_>) -> Result<(), Stop> {
     if reply.result().is_ok() { skip("the device needs no Service_Start") } else { Ok(()) }
 }
 
-/// The server of a device that is no controller may have any provider.
+/// A device that is not a controller may have any provider.
 fn unknown_provider(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let arguments = [S(""), S("CaoProv.NoSuch.Provider"), S("localhost"), S("")];
     let reply = bench.call(F::CONTROLLER_CONNECT, &arguments)?;
@@ -51,7 +51,7 @@ fn two_clients(bench: &mut Bench<'_>) -> Result<(), Stop> {
         other.want(F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")], Want::Type(3))?;
     }
     other.must(F::SERVICE_STOP, &[], Want::NoValue)?;
-    // the end of one session leaves the other one alone
+    // the end of one session does not affect the other
     bench.want(F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")], Want::Type(3)).map(drop)
 }
 

@@ -56,7 +56,7 @@ fn received(bench: &mut Bench<'_>, format: &'static str, want: Want) -> Result<(
     bench.check(F::ROBOT_EXECUTE, &reply, want, Refusals::Fail)
 }
 
-/// Returns the present position of the robot as a pose.
+/// Returns the current position of the robot as a pose.
 fn pose(bench: &mut Bench<'_>, kind: char) -> Result<Value, Stop> {
     // the robot of another connection, because Slave Mode refuses these commands
     let mut other = bench.another()?;
@@ -103,7 +103,7 @@ fn mode(bench: &mut Bench<'_>, wanted: i32) -> Result<(), Stop> {
     }
 }
 
-/// Enters a mode, sends the present pose twice, and leaves.
+/// Enters a mode, sends the current pose twice, and leaves.
 fn enter(bench: &mut Bench<'_>, number: i32, kind: char) -> Result<(), Stop> {
     let pose = pose(bench, kind)?;
     change(bench, number)?;
@@ -171,7 +171,7 @@ fn other_commands(bench: &mut Bench<'_>) -> Result<(), Stop> {
     bench.check(F::ROBOT_EXECUTE, &reply, Want::Refused, Refusals::Fail)
 }
 
-/// Sends the present position: a device that accepts it does not jump.
+/// Sends the current position: a device that accepts it does not jump.
 fn move_outside(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let pose = pose(bench, 'J')?;
     let reply = slv_move(bench, &pose)?;
@@ -189,7 +189,7 @@ fn enter_without_arm(bench: &mut Bench<'_>) -> Result<(), Stop> {
     bench.check(F::ROBOT_EXECUTE, &entered?, Want::Refused, Refusals::Skip)
 }
 
-/// Sends the first three elements of the present position.
+/// Sends the first three elements of the current position.
 fn short_pose(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let pose = pose(bench, 'J')?;
     let Value::Array(element, joints) = pose else { return fail("a pose", "another value") };

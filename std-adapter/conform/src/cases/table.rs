@@ -18,10 +18,10 @@
 //!     here, slvmove -> R8[8]                       keeps the present joints; sends them as a pose of Slave Mode
 //! ```
 //!
-//! Functions and values are written as in the steps of `bcap-testkit`; `@A:UI4` sends a handle as UI4, and `{n}` in a text is the
-//! index of the scratch variables. After `->` comes what must be replied: `ok`, `void`, a type as `I4`, `R4[7]` or `BSTR[]`,
-//! `= 3,77` a value, `E_HANDLE|83501024` codes, `refused` any error. The bytes of an edit are pairs of digits; `41*590` repeats
-//! them, and `+` joins parts. A case without steps is a function in the Rust file of its group.
+//! Functions and values are written as in the steps of `bcap-testkit`; `@A:UI4` sends a handle as UI4, and `{n}` in a text is
+//! the index of the scratch variables. After `->` follows the required reply: `ok`, `void`, a type as `I4`, `R4[7]` or
+//! `BSTR[]`, `= 3,77` a value, `E_HANDLE|83501024` codes, `refused` any error. The bytes of an edit are pairs of digits;
+//! `41*590` repeats them, and `+` joins parts. A case without steps is a function in the Rust file of its group.
 
 use std::borrow::Cow;
 
@@ -134,7 +134,7 @@ fn step(line: &'static str) -> Result<Step, String> {
     })
 }
 
-/// The tables are read once, so their parts may live as long as the process.
+/// The tables are read once, so their parts may be static.
 fn arguments(words: &[&'static str]) -> Result<&'static [Arg], String> {
     let args = words.iter().map(|word| argument(word)).collect::<Result<Vec<_>, String>>()?;
     Ok(args.leak())

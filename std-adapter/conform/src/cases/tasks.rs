@@ -12,7 +12,7 @@ const A: Slot = Slot::A;
 /// The cases of `tasks.cases` that are functions.
 pub(super) const FUNCTIONS: &[(&str, Run)] = &[("start-and-stop", start_and_stop)];
 
-/// GetStatus of a task that runs.
+/// GetStatus of a running task.
 const RUNNING: Value = Value::I4(3);
 
 fn start_and_stop(bench: &mut Bench<'_>) -> Result<(), Stop> {

@@ -29,16 +29,16 @@ const PAUSE: Duration = Duration::from_millis(500);
 /// The time for the device to read a part of a frame, before another client calls.
 const PART_PAUSE: Duration = Duration::from_millis(100);
 
-/// How often a case compares two clients: a busy machine may delay an answer once, but a faulty device always does.
+/// The number of comparisons of two clients: a busy machine may delay an answer once, but a faulty device always does.
 const ATTEMPTS: usize = 3;
 
 /// The external speed, acceleration and deceleration of long motions, in percent.
 const SLOWEST: &str = "8196,1,1,1";
 
-/// The shortest motion that tells whether a device sends keep-alives or serves other clients meanwhile.
+/// The shortest motion that shows whether a device sends keep-alives, or serves other clients, during a motion.
 const SHORTEST: Duration = Duration::from_millis(400);
 
-/// How long a case reads the replies that have arrived already.
+/// The time limit for reading replies that have arrived already.
 const ARRIVED: Duration = Duration::from_millis(50);
 
 fn paused(bench: &mut Bench<'_>, at: usize) -> Result<(), Stop> {
@@ -59,7 +59,7 @@ fn pause_between(bench: &mut Bench<'_>) -> Result<(), Stop> {
 
 fn unfinished_frame_of_another(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let usual = time_of_call(bench)?;
-    // a device that waits for the rest of the frame waits at least `PAUSE`, as other cases ask
+    // a device that waits for the rest of the frame waits at least `PAUSE`, as other cases require
     let limit = usual + bench.options.quiet;
     let mut took = usual;
     for _ in 0..ATTEMPTS {
@@ -77,7 +77,7 @@ fn unfinished_frame_of_another(bench: &mut Bench<'_>) -> Result<(), Stop> {
     fail(expected, format!("an answer after {} ms", took.as_millis()))
 }
 
-/// Returns how long a call takes that every device refuses at once.
+/// Returns the duration of a call that every device refuses immediately.
 fn time_of_call(bench: &mut Bench<'_>) -> Result<Duration, Stop> {
     let began = Instant::now();
     bench.must(F(65_999), &[], Want::Refused)?;
@@ -123,7 +123,7 @@ fn start_motion(bench: &mut Bench<'_>) -> Result<u16, Stop> {
     Ok(serial)
 }
 
-/// Returns the argument of DriveAEx for the present angle of axis 6.
+/// Returns the argument of DriveAEx for the current angle of axis 6.
 fn present_angle(bench: &mut Bench<'_>) -> Result<Value, Stop> {
     let reply = bench.robot_command("CurJnt", "0,")?;
     let angle = match reply.value() {

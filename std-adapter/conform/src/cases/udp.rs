@@ -58,7 +58,7 @@ fn late_copy(bench: &mut Bench<'_>) -> Result<(), Stop> {
     bench.must(F::VARIABLE_RELEASE, &[H(A)], Want::NoValue)?;
     let old = bench.serial - 1;
     bench.open(B, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")])?;
-    // the release again: executed, it would be E_HANDLE, or release an object that got the same handle
+    // a repeated release: if executed, it would return E_HANDLE, or release an object that got the same handle
     send(bench, old, old, F::VARIABLE_RELEASE, &[H(A)])?;
     match bench.receive_within(bench.options.quiet) {
         Came::Nothing => {}
@@ -83,7 +83,7 @@ fn no_marker(bench: &mut Bench<'_>) -> Result<(), Stop> {
 
 fn wrapping_markers(bench: &mut Bench<'_>) -> Result<(), Stop> {
     bench.serial = 0xffff;
-    // far above the markers so far, so this case uses a separate session
+    // far above the earlier markers, so this case uses a separate session
     bench.must(F::SERVICE_START, &[S("")], Want::NoValue)?;
     bench.open_controller()?;
     bench.open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")])?;
@@ -94,7 +94,7 @@ fn another_port(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let mut other = bench.another()?;
     bench.serial = other.serial;
     bench.open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")])?;
-    // the same serial as the call before, from another port
+    // the same serial as the previous call, from another port
     other.set_handle(A, bench.handle(A));
     other.must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Code(&[HResult::E_HANDLE])).map(drop)
 }
@@ -105,7 +105,7 @@ fn large_reply(bench: &mut Bench<'_>) -> Result<(), Stop> {
     if reply.result() == HResult::E_NOTIMPL {
         return skip(format!("Controller_GetVariableNames: {}", reply.result()));
     }
-    // the bytes of a valid frame are as many as those of its canonical encoding
+    // a valid frame is as long as its canonical encoding
     let length = reply.to_wire(false).len();
     match bench.link == Link::Udp && length > UDP_SEND_MAX {
         true => fail(format!("a reply of at most {UDP_SEND_MAX} bytes"), format!("{length} bytes: {}", reply.text())),

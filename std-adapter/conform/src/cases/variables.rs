@@ -12,7 +12,7 @@ const C: Slot = Slot::Controller;
 const A: Slot = Slot::A;
 const R: Slot = Slot::Robot;
 
-/// The system variables, on which object they are, and the VARTYPE of their values; 0x2000 marks an array.
+/// The system variables, their objects, and the VARTYPE of their values; 0x2000 marks an array.
 const SYSTEM: &[(Setup, &str, u16)] = &[
     (Controller, "@MODE", 3),
     (Controller, "@LOCK", 11),

@@ -36,7 +36,7 @@ enum Provocation {
 }
 
 impl Provocation {
-    /// Returns the case that the reaction decides.
+    /// Returns the case that the reaction determines.
     const fn case(self) -> &'static str {
         match self {
             Self::Executing => "waits-while-executing",
@@ -53,7 +53,7 @@ impl Provocation {
         }
     }
 
-    /// Returns whether the client may end its connection, so that only a later session can show whether it works on.
+    /// Returns whether the client may end its connection, so that only a later session can show whether it continues to work.
     const fn may_end_the_session(self, link: Link) -> bool {
         matches!((self, link), (Self::Close, _) | (Self::Late, Link::Tcp))
     }
@@ -80,10 +80,10 @@ const OVER_UDP: &[Provocation] = &[
     Provocation::Late,
 ];
 
-/// How long a client must not send while it waits for a reply.
+/// The time during which a client must not send while it waits for a reply.
 const WAIT: Duration = Duration::from_millis(120);
 
-/// How long a client may take to send a call again, to give it up, or to notice the end of its connection.
+/// The time limit for a client to repeat a call, to abandon it, or to detect the end of its connection.
 const CLIENT_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A controller that judges its clients.
@@ -114,13 +114,13 @@ struct Play {
     controller: Controller,
     session: Session<Vec<u8>, Vec<u8>>,
     began: Clock,
-    /// The provocations that are left.
+    /// The remaining provocations.
     left: Vec<Provocation>,
-    /// The case that the next request decides.
+    /// The case that the next request determines.
     pending: Option<&'static str>,
-    /// The last request that is no retransmission.
+    /// The last request that was not a retransmission.
     last: Option<TestFrame>,
-    /// Requests that arrived before the reply to the last one.
+    /// Requests that arrived before the reply to the last request.
     early: VecDeque<Vec<u8>>,
     /// A late reply to an earlier call, which is sent before the next reply.
     late: Option<Vec<u8>>,
@@ -135,22 +135,22 @@ impl ClientJudge {
     ///
     /// # Errors
     ///
-    /// When the address cannot be listened on.
+    /// When listening on the address fails.
     pub fn bind(link: Link, address: SocketAddr) -> io::Result<Self> {
         Ok(Self { link, listener: Listener::bind(link, address)? })
     }
 
-    /// Returns the address that it listens on.
+    /// Returns the listening address.
     ///
     /// # Errors
     ///
-    /// When the operating system does not tell it.
+    /// If the operating system does not return the address.
     pub fn address(&self) -> io::Result<SocketAddr> {
         self.listener.address()
     }
 
-    /// Serves this number of sessions, one after the other, and returns the results of all cases. It waits at most `limit`
-    /// for a client, and for each of its requests.
+    /// Serves this number of sessions sequentially, and returns the results of all cases. It waits at most `limit` for a
+    /// client, and for each of its requests.
     ///
     /// # Errors
     ///
@@ -265,13 +265,14 @@ impl Play {
         if next.may_end_the_session(self.link) && !self.has_next { None } else { self.left.pop() }
     }
 
-    /// Returns whether a request is a retransmission of the last one: its reserved field has the serial of the first attempt.
+    /// Returns whether a request is a retransmission of the last request: its reserved field has the serial of the first
+    /// attempt.
     fn is_retry(&self, frame: &TestFrame) -> bool {
         let is_of = |last: &TestFrame| frame.reserved == last.serial && frame.serial != last.serial;
         self.link.repeats() && self.last.as_ref().is_some_and(is_of)
     }
 
-    /// Returns whether a request has the serial of the last one: a retransmission that needs a new serial.
+    /// Returns whether a request has the serial of the last request: a retransmission that needs a new serial.
     fn is_duplicate(&self, frame: &TestFrame) -> bool {
         self.last.as_ref().is_some_and(|last| frame.serial == last.serial)
     }
@@ -298,7 +299,7 @@ impl Play {
         self.execute(socket, peer, bytes)
     }
 
-    /// Executes a request, and returns the reply. Keep-alives of the session are sent at once.
+    /// Executes a request, and returns the reply. Keep-alives of the session are sent immediately.
     fn execute(&mut self, socket: &mut Wire, peer: PeerId, bytes: &[u8]) -> io::Result<Option<Vec<u8>>> {
         let mut rest = bytes;
         while !rest.is_empty() {
@@ -328,7 +329,8 @@ impl Play {
         }
     }
 
-    /// The client must send nothing for a while, except a retransmission; then `reply` becomes the reply to that one.
+    /// Checks that the client sends nothing for a while, except a retransmission; `reply` then becomes the reply to the
+    /// retransmission.
     fn waits(&mut self, socket: &mut Wire, peer: PeerId, case: &'static str, reply: &mut Vec<u8>) -> io::Result<()> {
         let until = Clock::now() + WAIT;
         let came = loop {
@@ -346,7 +348,7 @@ impl Play {
                 None => {
                     let text = describe(&bytes);
                     self.rules.judge("one-at-a-time", false, "silence until the reply", text.clone());
-                    // it is served after the reply, so that the client fails for this alone
+                    // it is served after the reply, so that the client fails only this case
                     self.early.push_back(bytes);
                     break text;
                 }
@@ -366,7 +368,7 @@ impl Play {
         let serial = field::serial(reply).unwrap_or(0);
         let (executing, stale) = (coded(serial, HResult::S_EXECUTING), coded(serial.wrapping_sub(1), HResult::E_FAIL));
         let case = provocation.case();
-        // the next request decides, even when the client ends the connection at once
+        // the next request determines the result, even when the client ends the connection immediately
         self.pending = Some(case);
         match provocation {
             Provocation::Executing => {
@@ -430,9 +432,9 @@ impl Play {
         }
     }
 
-    /// Sends no reply until the client gives up the attempt; the late one comes before the reply to its next call.
+    /// Sends no reply until the client abandons the attempt. The late reply then precedes the reply to its next call.
     fn delay(&mut self, socket: &mut Wire, peer: PeerId, reply: &[u8]) -> io::Result<()> {
-        // without a late reply there is nothing to decide
+        // without a late reply there is nothing to judge
         self.pending = None;
         let next = match socket.receive(CLIENT_TIMEOUT) {
             Received::Packet(bytes) => bytes,
@@ -444,7 +446,7 @@ impl Play {
             }
         };
         match oracle(self.link).decode_packet(&next).filter(|frame| self.is_retry(frame)) {
-            // over UDP the reply to the first attempt is as good as that to the second
+            // over UDP the reply to the first attempt is also a valid reply to the second
             Some(again) => {
                 self.late = self.retry(socket, peer, &next, &again)?;
                 socket.send(reply)
@@ -457,7 +459,7 @@ impl Play {
         }
     }
 
-    /// Ends the connection instead of a reply. The client must end it too, and send nothing more.
+    /// Ends the connection instead of replying. The client must end it too, and send nothing more.
     fn close(&mut self, socket: &mut Wire) -> io::Result<()> {
         (self.pending, self.is_excused) = (None, true);
         socket.finish()?;

@@ -84,7 +84,7 @@ pub fn client_cases() -> impl Iterator<Item = (String, &'static str, &'static st
     CASES.iter().map(|(name, source, rule)| (format!("client/{name}"), *source, *rule))
 }
 
-/// The verdicts so far, and the state of a session that the rules need.
+/// The current verdicts, and the state of a session that the rules need.
 #[derive(Debug)]
 pub(super) struct Rules {
     link: Link,
@@ -102,7 +102,7 @@ impl Rules {
         Self { link, verdicts, serial: None, started: false, stopped: false, open, log }
     }
 
-    /// Records the outcome of a rule; the first failure stays.
+    /// Records the outcome of a rule; the first failure is kept.
     pub(super) fn judge(&mut self, name: &'static str, holds: bool, expected: &str, came: impl Into<String>) {
         if holds {
             self.verdicts.entry(name).or_insert(Ok(()));
@@ -213,7 +213,7 @@ impl Rules {
         }
     }
 
-    /// Returns the serial that follows the last one.
+    /// Returns the serial after the last serial.
     pub(super) fn next_serial(&self) -> u16 {
         self.serial.and_then(|serial| serial.checked_add(1)).unwrap_or(1)
     }
@@ -262,8 +262,8 @@ impl Rules {
     }
 }
 
-/// Returns the value of the option WDT without its brackets; the first one counts. Keys are case-insensitive, and blanks around key
-/// and value are dropped.
+/// Returns the value of the first option WDT without its brackets. Keys are case-insensitive, and blanks around key and value
+/// are dropped.
 fn wdt(options: &str) -> Option<&str> {
     let mut options = options.split(',').filter_map(|option| option.split_once('='));
     let (_, value) = options.find(|(key, _)| key.trim().eq_ignore_ascii_case("WDT"))?;

@@ -32,7 +32,7 @@ pub(crate) fn state(served: &Served<Controller>) -> (f64, bool, Vec<f64>) {
     state
 }
 
-/// Asserts that speed and motor are the same, and the joints nearly.
+/// Asserts that speed and motor are unchanged, and the joints nearly so.
 pub(crate) fn assert_restored(before: &(f64, bool, Vec<f64>), served: &Served<Controller>, text: &str) {
     let after = state(served);
     assert_eq!((after.0, after.1), (before.0, before.1), "{text}");

@@ -17,7 +17,8 @@ const INTRODUCTION: &str = "\
 # Read this file before you send it. It has no host name, address or serial number; values are in it only with --values,
 # except the three below. The last column is the answer of the virtual controller, where it differs.";
 
-/// Returns the report as a table: the answers of a controller whose provider is `provider`, next to those of a virtual one.
+/// Returns the report as a table: the answers of a controller whose provider is `provider`, next to the answers of a virtual
+/// controller.
 #[must_use]
 pub fn table(survey: &Survey, other: &Survey, provider: &str, values: bool) -> String {
     let mut out = format!("bcap report, format {FORMAT}\n{INTRODUCTION}\n\n");

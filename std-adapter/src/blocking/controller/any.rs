@@ -83,13 +83,13 @@ impl Controller {
         ready(self.session.call_any(object, function, arguments))
     }
 
-    /// Opens an object and the objects on the way to it, and returns its handle. Each call opens them anew.
+    /// Opens an object and the objects of its path, and returns its handle. Each call opens them anew.
     ///
     /// They are released with the session; [`release`](Self::release) releases one earlier.
     ///
     /// # Errors
     ///
-    /// An [`Error`]; the objects that were opened on the way are released then.
+    /// An [`Error`]; the objects of the path that were opened are released then.
     pub fn open(&mut self, path: &ObjectPath) -> Result<i32, Error> {
         ready(self.session.open_object(path))
     }
@@ -118,11 +118,11 @@ impl Controller {
         Ok(Moving { session: &mut self.session, queue: motion.queue })
     }
 
-    /// As [`Robot::recover`](crate::blocking::Robot::recover) or, without a configuration, [`Robot::prepare`](crate::blocking::Robot::prepare),
-    /// with an observer, and also with the arm of this session.
+    /// Same as [`Robot::recover`](crate::blocking::Robot::recover) or, without a configuration,
+    /// [`Robot::prepare`](crate::blocking::Robot::prepare), with an observer. It also works with the arm of this session.
     ///
-    /// `observe` gets each step with its result: `Err` for a step that the controller does not know, and that is left out. The
-    /// procedure ends when `observe` returns [`ControlFlow::Break`], and undoes its effects.
+    /// `observe` gets each step with its result: `Err` for a step that the controller does not support, and that is skipped.
+    /// The procedure ends when `observe` returns [`ControlFlow::Break`], and undoes its effects.
     ///
     /// # Errors
     ///
@@ -168,8 +168,8 @@ impl Controller {
     ///
     /// # Errors
     ///
-    /// An [`Error`] if that was refused, or is not known: the robot may move, the motor may be on, or the arm may be taken.
-    /// [`Error::NotEnded`] has what was seen after a lost connection.
+    /// An [`Error`] if that was refused, or cannot be verified: the robot may move, the motor may be on, or the arm may be
+    /// taken. [`Error::NotEnded`] has the findings after a lost connection.
     pub fn end(mut self) -> Result<(), Error> {
         self.end_now().robot
     }

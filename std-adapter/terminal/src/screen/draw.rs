@@ -19,16 +19,16 @@ const ALL: (u16, u16) = (70, 18);
 /// The width of the robot's panel: three numbers a line.
 const ROBOT: u16 = 40;
 
-/// The largest width of a sparkline, and the smallest that is drawn.
+/// The maximum width of a sparkline, and the minimum width that is drawn.
 const SPARK: (u16, u16) = (60, 4);
 
-/// The columns that a long name keeps next to a long value.
+/// The minimum width of a long name next to a long value.
 const NAME: u16 = 6;
 
 /// The maximum number of rows of the answer to a key.
 const NOTICE: u16 = 3;
 
-/// What separates a name from its value.
+/// The separator between a name and its value.
 const EQUALS: &str = " = ";
 
 const ASCII: border::Set<'_> = border::Set {
@@ -179,8 +179,8 @@ fn first_line(panel: &Panel, rows: usize) -> usize {
     }
 }
 
-/// Draws a line: its name in a column of `names`, its text, and in the rest its sparkline. The text has the first claim to
-/// the columns, then the name.
+/// Draws a line: its name in a column of `names`, its text, and in the rest its sparkline. The text has priority for the
+/// columns, then the name.
 fn draw_line(line: &Line, names: u16, look: Look, area: Rect, buffer: &mut Buffer) {
     let style = look.style(line.mark);
     let text = columns(&escape::line(&line.text));
@@ -204,7 +204,7 @@ fn draw_line(line: &Line, names: u16, look: Look, area: Rect, buffer: &mut Buffe
     }
 }
 
-/// Shortens a name in its middle: its ends say most.
+/// Shortens a name in its middle: its ends are the most informative.
 fn shortened(name: &str, width: u16, look: Look) -> String {
     if columns(name) <= width {
         return name.to_owned();
@@ -270,7 +270,7 @@ fn columns(text: &str) -> u16 {
     symbols(text).iter().fold(0, |sum, (_, columns)| sum.saturating_add(*columns))
 }
 
-/// Writes escaped text. The end of text that does not fit is a mark.
+/// Writes escaped text. Text that does not fit ends with a mark.
 fn put(text: &str, style: Style, look: Look, area: Rect, buffer: &mut Buffer) {
     if area.is_empty() {
         return;
@@ -412,7 +412,7 @@ mod tests {
         assert_eq!(small(&screen), ["RC8 auto ok", values[0], values[1], "", "halted"]);
         screen.notice = Line::default();
         assert_eq!(small(&screen)[4], "70x18 shows all pan…");
-        // a question is not cut without a mark
+        // a question is never truncated without a mark
         screen.notice = Line::alarm("write IO128 = 123456789, now 987654321, y/N");
         assert_eq!(small(&screen)[2..], ["write IO128 =", "123456789, now", "987654321, y/N"]);
         screen.notice = Line::default();

@@ -11,10 +11,10 @@ use tokio::sync::oneshot;
 
 use super::{Screen, Terminal};
 
-/// The time from one drawing to the next.
+/// The interval of drawings.
 const FRAME: Duration = Duration::from_millis(100);
 
-/// The longest time that the end waits for the thread: a terminal may not take output any more.
+/// The maximum wait for the thread at the end: a terminal may no longer accept output.
 const CLOSE: Duration = Duration::from_millis(500);
 
 /// The thread that draws; dropping this ends it and restores the terminal.
@@ -55,7 +55,7 @@ impl Live {
     ///
     /// # Errors
     ///
-    /// The failure that ended the thread before.
+    /// The failure that has ended the thread.
     pub fn close(mut self) -> io::Result<()> {
         self.end()
     }

@@ -19,7 +19,7 @@ pub struct Screen {
     pub errors: Panel,
     /// The middle right.
     pub messages: Panel,
-    /// Packets or calls, the latest at the end.
+    /// Packets or calls, in chronological order.
     pub log: Panel,
     /// The answer to the last key, or a question.
     pub notice: Line,
@@ -36,7 +36,7 @@ pub struct Panel {
     pub title: String,
     /// All lines.
     pub lines: Vec<Line>,
-    /// Which lines are shown if not all fit.
+    /// The selection of lines if not all fit.
     pub view: Part,
 }
 
@@ -50,7 +50,7 @@ pub enum Part {
     Last,
     /// The lines around this one, which is marked.
     Around(usize),
-    /// The first lines; a long line continues on the next.
+    /// The first lines; a long line continues on the next row.
     Wrapped,
 }
 
@@ -67,7 +67,7 @@ pub struct Line {
     pub mark: Mark,
 }
 
-/// How a line is marked. Each mark is visible without colours.
+/// The mark of a line. Each mark is visible without colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mark {
     /// Not marked.

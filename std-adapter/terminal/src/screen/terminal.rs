@@ -68,7 +68,7 @@ impl Terminal {
         self.inner.draw(|frame| draw(screen, self.look, frame)).map(drop)
     }
 
-    /// Waits for keys at most this long, and returns all that were pressed.
+    /// Waits for keys for at most `time`, and returns all pressed keys.
     ///
     /// # Errors
     ///
@@ -80,7 +80,7 @@ impl Terminal {
 
 /// Returns the keys that were pressed.
 fn pressed() -> io::Result<Vec<KeyEvent>> {
-    // the end of the wait is the only way out of a terminal that was lost meanwhile, and without a wait nothing is read
+    // a wait is needed to read anything, and it must end, because a read from a lost terminal never returns
     const WAIT: Duration = Duration::from_millis(1);
     let mut keys = Vec::new();
     while event::poll(WAIT)? {
@@ -97,7 +97,7 @@ fn has_input(time: Duration) -> io::Result<bool> {
     has_bytes(io::stdin(), time)
 }
 
-/// Waits for bytes, because crossterm does not tell that a terminal is gone.
+/// Waits for bytes, because crossterm does not report that a terminal is gone.
 #[cfg(unix)]
 fn has_bytes(input: impl AsFd, time: Duration) -> io::Result<bool> {
     use rustix::event::{PollFd, PollFlags, Timespec, poll};

@@ -1,4 +1,5 @@
-//! A connection to the device. Over UDP it remembers what it has sent, because replies and frames of datagrams may overlap.
+//! A connection to the device. Over UDP it stores the sent serials and bytes, because replies and frames of datagrams may
+//! overlap.
 
 use std::collections::HashMap;
 use std::io;
@@ -11,10 +12,10 @@ use super::gate::{Gate, TAIL};
 use crate::frame::{TestFrame, field};
 use crate::wire::{Link, Received, Recorder, Wire};
 
-/// How long the device may take to close its side after the fuzzer has closed.
+/// The time limit for the device to close its side after the fuzzer has closed.
 const CLOSING: Duration = Duration::from_millis(200);
 
-/// The serial numbers of Service_Stop over UDP, relative to the last one.
+/// The serial numbers of Service_Stop over UDP, relative to the last serial.
 const STOPS: [u16; 4] = [1, 0x2000, 0x6000, 0xa000];
 
 /// The protocol of a port.
@@ -72,7 +73,7 @@ impl Channel {
     }
 
     /// Sends bytes. An error is not reported: the next receive returns what the device sent before, and then that it closed the
-    /// connection, or silence if it took no more bytes.
+    /// connection, or silence if it accepted no more bytes.
     pub(super) fn send(&mut self, bytes: &[u8]) {
         let serial = field::serial(bytes);
         self.last = serial.unwrap_or(0);
@@ -121,8 +122,8 @@ impl Channel {
         self.wire.receive(limit)
     }
 
-    /// Closes the connection, and waits shortly for the device to do so too, so that it has noticed. Over UDP it ends the session.
-    /// Returns whether the device has closed its port for datagrams.
+    /// Closes the connection, and waits briefly until the device has closed it too. Over UDP it ends the session. Returns
+    /// whether the device has closed its port for datagrams.
     pub(super) fn close(self, gate: &Gate) -> bool {
         if self.is_datagrams() {
             return self.stop(gate);
@@ -131,8 +132,8 @@ impl Channel {
         false
     }
 
-    /// Sends Service_Stop until it is answered, because the device keeps a slot for the port. A device may take a serial number for an
-    /// old one after the strange ones of a session, so they are far apart.
+    /// Sends Service_Stop until it is answered, because the device keeps a slot for the port. After the unusual serials of a
+    /// session, a device may treat a serial as old, so several serials that are far apart are tried.
     fn stop(mut self, gate: &Gate) -> bool {
         let last = self.last;
         for ahead in STOPS {

@@ -23,35 +23,35 @@ use crate::step::{Argument, Call, Delivery, Step};
 use crate::value::Value;
 use crate::wire::{Link, Received, Recorder};
 
-/// A call may be kept alive for this number of time limits.
+/// The maximum duration of a call with keep-alives, in time limits.
 const KEPT_ALIVE: u32 = 10;
-/// How often an object is tried again that was refused, because the device may still be releasing others.
+/// The number of retries for a refused object, because the device may still be releasing other objects.
 const AGAIN: u32 = 4;
 /// The wait before each of these attempts.
 const RELEASING: Duration = Duration::from_millis(150);
-/// How often a datagram is sent before its reply counts as missing.
+/// The number of times that a datagram is sent before its reply counts as missing.
 const ATTEMPTS: u32 = 5;
-/// How long a reply to an invalid datagram may take; a device may drop it.
+/// The time limit of a reply to an invalid datagram; a device may drop the datagram.
 const DROPPED: Duration = Duration::from_millis(10);
-/// The time between two looks for the end of the run.
+/// The time between two checks for the end of the run.
 const LOOK: Duration = Duration::from_millis(200);
 /// The wait before a refused connection is tried again.
 const SLOT: Duration = Duration::from_millis(20);
-/// The wait between the parts of a frame that is split.
+/// The wait between the parts of a split frame.
 const SPLIT: Duration = Duration::from_millis(1);
 
-/// The device, and the limits of what it gets.
+/// The device, and the limits of its traffic.
 pub struct Device<'a> {
     bcap: Vec<SocketAddr>,
     link: Link,
     rac: Option<Vec<SocketAddr>>,
-    /// What it may get.
+    /// The packets that it may get.
     pub gate: Gate,
     /// The time limit of a reply.
     pub timeout: Duration,
-    /// For how long a refused connection is tried again.
+    /// The time during which a refused connection is retried.
     pub reconnect: Duration,
-    /// The least time between two packets.
+    /// The minimum time between two packets.
     pub interval: Duration,
     /// Starts the device again.
     pub restarter: Option<Restarter>,
@@ -66,10 +66,10 @@ impl fmt::Debug for Device<'_> {
     }
 }
 
-/// How a run goes on.
+/// The next action of a run.
 enum Next {
     Continue,
-    /// The connection is over as it should be.
+    /// The connection ended as expected.
     End,
     Found(Finding),
 }
@@ -81,9 +81,9 @@ struct Run<'a, 'd> {
     wire: Option<Channel>,
     rac: Option<Channel>,
     session: Session,
-    /// Calls that are written together with the next one.
+    /// Calls that are written together with the next call.
     joined: Vec<TestFrame>,
-    /// The last bytes that were sent on the connection, or are to be sent with the next call.
+    /// The last bytes that were sent on the connection, or that will be sent with the next call.
     tail: Vec<u8>,
     /// Openings that succeeded.
     opened: HashSet<String>,
@@ -92,7 +92,7 @@ struct Run<'a, 'd> {
 }
 
 impl<'d> Device<'d> {
-    /// Makes a device with the addresses of one port of b-CAP. The run ends when `is_ended` returns true.
+    /// Creates a device with the addresses of one port of b-CAP. The run ends when `is_ended` returns true.
     pub fn new(
         bcap: Vec<SocketAddr>,
         link: Link,
@@ -117,7 +117,7 @@ impl<'d> Device<'d> {
         Ok(())
     }
 
-    /// Returns the number of packets so far.
+    /// Returns the number of packets until now.
     #[must_use]
     pub const fn packets(&self) -> u64 {
         self.packets
@@ -153,7 +153,7 @@ impl<'d> Device<'d> {
         }
     }
 
-    /// Runs steps on a new connection, and then sees whether a new client is served.
+    /// Runs steps on a new connection, and then checks whether a new client is served.
     ///
     /// # Errors
     ///
@@ -179,7 +179,7 @@ impl<'d> Device<'d> {
         Ok(self.probe(recorder)?.or(found))
     }
 
-    /// Sees whether a new client is served.
+    /// Checks whether a new client is served.
     ///
     /// # Errors
     ///
@@ -243,9 +243,9 @@ impl<'d> Device<'d> {
         Ok(())
     }
 
-    /// Waits for the reply to a request. Over UDP a call that only reads is sent again while no reply arrives.
+    /// Waits for the reply to a request. Over UDP a call that only reads is repeated while no reply arrives.
     ///
-    /// A device may drop a datagram that is not of the usual kind, so the wait for its reply is short.
+    /// A device may drop an unusual datagram, so the wait for its reply is short.
     fn await_reply(
         &self,
         wire: &mut Channel,
@@ -315,7 +315,7 @@ impl Run<'_, '_> {
         for (place, step) in steps.iter().enumerate() {
             let next = match step {
                 Step::Call(call) => {
-                    // the last call cannot wait for another one
+                    // the last call cannot wait for a further call
                     let is_joined = !self.device.is_datagrams()
                         && call.delivery == Delivery::Joined
                         && matches!(steps.get(place + 1), Some(Step::Call(_)));
@@ -324,7 +324,7 @@ impl Run<'_, '_> {
                 Step::Bytes(bytes) => self.bytes(bytes)?,
                 Step::Line(lines) => self.retried(|run| &mut run.rac, |run| run.lines(lines))?,
                 Step::Reconnect => {
-                    // the probe after the session sees a closed port too
+                    // the probe after the session also detects a closed port
                     let _ = self.wire.take().map(|wire| wire.close(&self.device.gate));
                     (self.session, self.joined, self.tail) = (Session::default(), Vec::new(), Vec::new());
                     Next::Continue
@@ -365,7 +365,7 @@ impl Run<'_, '_> {
 
     fn call(&mut self, call: &Call, is_joined: bool) -> Result<Next, Error> {
         let frame = self.session.frame(call);
-        // a joined call may release the handle or give it to another variable
+        // a joined call may release the handle or reassign it to another variable
         let is_blind = !self.joined.is_empty() && frame.code == FunctionId::VARIABLE_PUT_VALUE.0;
         if is_blind
             || !self.device.gate.has_call(&frame, self.session.variable(&frame))
@@ -424,7 +424,7 @@ impl Run<'_, '_> {
             }
             _ => wire.send(&bytes),
         }
-        // a device may take a strange serial number for an old call's number, and may not receive a long datagram
+        // a device may mistake an unusual serial number for an old call's serial, and may not receive a long datagram
         let is_usual = call.serial.is_none() && !call.is_retry && bytes.len() <= UDP_SEND_MAX;
         let mut next = Next::Continue;
         for frame in frames {
@@ -453,8 +453,8 @@ impl Run<'_, '_> {
             || (self.device.gate.has_joint(wire.tail(), first) && self.device.gate.has_joint(&tail, whole))
     }
 
-    /// Sends a call again as a retransmission: with the next serial number, and that of the first attempt in the reserved field. The
-    /// device must not execute it, but send its reply again.
+    /// Sends a call again as a retransmission: with the next serial number, and the first attempt's serial in the reserved
+    /// field. The device must not execute it, but send its reply again.
     fn retransmit(&mut self, wire: &mut Channel, request: &TestFrame) -> Result<Next, Error> {
         let Some(first) = self.last.take().filter(|_| request.reserved == 0) else { return Ok(Next::Continue) };
         let copy = TestFrame { serial: self.session.next_serial(), reserved: request.serial, ..request.clone() };
@@ -495,7 +495,7 @@ impl Run<'_, '_> {
                     }
                     again -= 1;
                     if wire.is_datagrams() {
-                        // a new call: a copy would only get the same reply
+                        // a new call, because a copy would only get the same reply
                         request.serial = self.session.next_serial();
                     }
                     let bytes = request.to_wire(false);
@@ -588,7 +588,7 @@ impl Run<'_, '_> {
         let end = lines.iter().rposition(|byte| *byte == b'\r').unwrap_or(0);
         let lines = || lines.get(..end).unwrap_or_default().split(|byte| *byte == b'\r');
         if lines().any(|line| line.trim_ascii().is_empty()) {
-            // whether a blank line is answered is not specified, so later responses could not be told apart
+            // whether a blank line is answered is not specified, so later responses could not be distinguished
             wire.close(&self.device.gate);
             return Ok(Next::Continue);
         }
@@ -622,7 +622,7 @@ fn closed_port() -> Finding {
     Finding::new(Kind::Crash, "UDP", "the device has closed its port")
 }
 
-/// Returns whether the bytes are at least as many as their length field says, so that a server waits for no more.
+/// Returns whether there are at least as many bytes as the length field says, so that a server waits for no more.
 fn is_complete(bytes: &[u8]) -> bool {
     bytes.first() == Some(&1)
         && field::length(bytes)

@@ -15,14 +15,14 @@ use crate::grammar::Grammar;
 use crate::network::Random;
 use crate::step::Step;
 
-/// The bytes that a session is made of; more than any session needs.
+/// The number of random bytes for a session; more than any session needs.
 const ENTROPY: usize = 1 << 14;
 /// One session in this number opens and releases one object again and again.
 const OPENINGS: u64 = 16;
 /// The maximum number of runs to reduce a finding, and the maximum time.
 const RUNS: u32 = 200;
 const TIME: Duration = Duration::from_secs(60);
-/// The wait between two looks for a device that restarts.
+/// The wait between two checks for a device that restarts.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// A finding that is reduced and saved.
@@ -34,9 +34,9 @@ pub struct Saved {
     pub session: u64,
     /// The time since the start.
     pub after: Duration,
-    /// The number of steps that are left.
+    /// The number of remaining steps.
     pub steps: usize,
-    /// Whether it came again when the same steps were run again.
+    /// Whether it occurred again when the same steps were repeated.
     pub is_repeatable: bool,
     /// Its files.
     pub files: Files,
@@ -47,7 +47,7 @@ pub struct Saved {
 pub struct Plan {
     /// Chooses the sessions.
     pub seed: u64,
-    /// What sessions are made of.
+    /// The permitted requests of sessions.
     pub grammar: Grammar,
     /// When the run ends.
     pub until: Instant,
@@ -55,7 +55,7 @@ pub struct Plan {
     pub sessions: u64,
     /// The maximum number of different findings.
     pub findings: u64,
-    /// How long a device that does not answer after a finding may take to restart.
+    /// The time limit for a restart of a device that does not answer after a finding.
     pub wait: Duration,
     /// The folder for findings.
     pub out: PathBuf,
@@ -65,8 +65,8 @@ pub struct Plan {
 ///
 /// # Errors
 ///
-/// When the run is ended, or a file cannot be written; errors of `each`. If the run is ended while a finding is
-/// reduced, the steps so far are saved, and `each` gets the finding first.
+/// When the run is ended, or a file cannot be written; errors of `each`. If the run is ended while a finding is being reduced,
+/// the steps reduced until then are saved, and `each` gets the finding first.
 pub fn fuzz<E: From<Error>>(
     device: &mut Device<'_>,
     plan: &Plan,
@@ -116,14 +116,14 @@ fn steps(plan: &Plan, session: u64, has_rac: bool) -> Vec<Step> {
     steps.unwrap_or_default()
 }
 
-/// Waits until the device answers again, and starts it once if that can be done; returns whether it answers.
+/// Waits until the device answers again, and starts it once if possible; returns whether it answers.
 fn recover(device: &mut Device<'_>, limit: Duration) -> Result<bool, Error> {
     let mut until = Instant::now() + limit;
     let mut may_start = true;
     loop {
         let Some(found) = device.probe(None)? else { return Ok(true) };
         let is_over = Instant::now() >= until;
-        // a device that accepts connections may still come back by itself
+        // a device that accepts connections may still recover by itself
         let starts = may_start && (is_over || found.kind == Kind::Crash);
         may_start &= !starts;
         if starts && device.restarter.as_mut().is_some_and(|restarter| restarter.run().unwrap_or(false)) {
@@ -153,7 +153,7 @@ fn keep(device: &mut Device<'_>, plan: &Plan, record: Record<'_>, found: Found, 
         format!("bcap fuzz, seed {}, session {session}: {finding}", plan.seed),
         "run it again: bcap fuzz --robot ADDR --again FILE --yes-this-device-is-mine".into(),
     ];
-    // first of all, because the device may not come back
+    // first of all, because the device may not recover
     files.write_steps(&steps, &remarks)?;
     let mut saved = Saved { finding, session, after, steps: steps.len(), is_repeatable: false, files };
     if !answers {
@@ -224,7 +224,7 @@ mod tests {
 
     const LIMIT: Duration = Duration::from_secs(10);
 
-    /// Serves Service_Start and Service_Stop to one client after the other. Closes the connection at any other packet.
+    /// Serves Service_Start and Service_Stop to one client at a time. Closes the connection at any other packet.
     fn serve() -> SocketAddr {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();

@@ -1,4 +1,4 @@
-//! Findings, and when two are the same.
+//! Findings, and how duplicates are detected.
 
 use std::fmt;
 
@@ -9,15 +9,15 @@ use bcap_core::bcap::FunctionId;
 pub enum Kind {
     /// No new connection is possible.
     Crash,
-    /// No reply came, and no end of the connection.
+    /// No reply arrived, and the connection did not end.
     Hang,
     /// The device closed the connection after a valid frame or line.
     Reset,
     /// A reply that the protocol does not allow.
     WrongReply,
-    /// A handle is valid that is not open.
+    /// A handle that is not open is valid.
     Handle,
-    /// An object or a client is refused that was served before.
+    /// An object or a client that was served before is refused.
     Leak,
 }
 
@@ -56,7 +56,8 @@ impl Finding {
         Self::new(kind, FunctionId(function).to_string(), detail)
     }
 
-    /// Returns whether both are probably the same fault. A crash is noticed only after its session, so any crash is the same.
+    /// Returns whether both are probably the same fault. A crash is detected only after its session, so all crashes count as
+    /// the same.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
         self.kind == other.kind && (self.kind == Kind::Crash || self.subject == other.subject)

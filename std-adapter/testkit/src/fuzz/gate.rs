@@ -1,4 +1,4 @@
-//! Decides which packets a device may get, by the effects in the function table of the core.
+//! Selects the packets that a device may get, by the effects in the function table of the core.
 
 use bcap_core::bcap::{Command, FunctionId};
 use bcap_core::rac::{Request, Variable, VariableKind};
@@ -8,7 +8,7 @@ use crate::grammar::Grammar;
 use crate::step::{Argument, Step};
 use crate::value::Value;
 
-/// Numbers from here on are not functions of any firmware; those below may be functions that no public source describes.
+/// From this number on, no firmware has functions; lower numbers may be functions that no public source describes.
 const NO_FUNCTION: i32 = 65_536;
 
 /// Variables of one kind, from the first index to the last.
@@ -36,7 +36,7 @@ impl Gate {
         Self { writable, with_motion }
     }
 
-    /// Returns the grammar of what may be sent. The gate checks every packet nevertheless.
+    /// Returns the grammar of permitted steps. The gate checks every packet nevertheless.
     #[must_use]
     pub fn grammar(&self, provider: &str) -> Grammar {
         let named = |command: &Command| (command.function, String::from(command.name));
@@ -94,8 +94,8 @@ impl Gate {
         self.with_motion || starts.into_iter().all(|at| is_harmless_at(&joint, at))
     }
 
-    /// Returns whether a step may be sent. A write depends on the variable that is open then, so a step that writes passes if any
-    /// variable may be written; it is checked again when it is sent.
+    /// Returns whether a step may be sent. Whether a write is permitted depends on the variable that is then open, so a step
+    /// that writes passes if any variable may be written. It is checked again when it is sent.
     #[must_use]
     pub fn may_pass(&self, step: &Step) -> bool {
         let any = self.writable.first().map(|range| format!("{}{}", range.kind.name(), range.first));
@@ -107,13 +107,14 @@ impl Gate {
         }
     }
 
-    /// Returns whether lines of RAC may be sent. The last one needs its CR, so that it does not continue in the next step.
+    /// Returns whether lines of RAC may be sent. The last line needs its CR, so that it does not continue in the next step.
     pub(super) fn has_lines(&self, lines: &[u8]) -> bool {
         let Some(lines) = lines.strip_suffix(b"\r") else { return self.with_motion };
         self.with_motion || lines.split(|byte| *byte == b'\r').all(|line| self.has_line(line))
     }
 
-    /// Returns whether a line without its CR may be sent: it reads, it writes an allowed variable, or it has no word.
+    /// Returns whether a line without its CR may be sent: it reads, it writes an allowed variable, or it cannot contain a
+    /// keyword.
     fn has_line(&self, line: &[u8]) -> bool {
         let has_word = line.windows(2).any(|pair| matches!(pair, [first, second] if first != second));
         let verb = line.trim_ascii_start().get(..4).unwrap_or_default();
@@ -132,7 +133,8 @@ impl Gate {
     }
 }
 
-/// The bytes before a packet in which a receiver that lost its place may see the beginning of a frame that ends in the packet.
+/// The number of bytes before a packet in which a receiver that lost synchronisation may see the beginning of a frame that ends
+/// in the packet.
 pub(super) const TAIL: usize = 12;
 
 const fn is_no_function(code: i32) -> bool {
@@ -170,13 +172,14 @@ fn is_safe(code: i32) -> bool {
     is_no_function(code) || reads(code)
 }
 
-/// Returns the code of a frame that begins at this place.
+/// Returns the code of a frame that begins at this position.
 fn code_at(bytes: &[u8], at: usize) -> Option<i32> {
     bytes.get(at..).and_then(field::code)
 }
 
-/// Returns whether a receiver that lost its place, and takes a later byte for the beginning of a frame, sees no known function that
-/// does more than read. Numbers that no public source describes are too common among lengths and values to refuse them here.
+/// Returns whether a receiver that lost synchronisation, and takes a later byte for the beginning of a frame, sees no known
+/// function that does more than read. Numbers that no public source describes are too common among lengths and values to refuse
+/// them here.
 fn is_safe_inside(bytes: &[u8]) -> bool {
     (1..bytes.len()).all(|at| is_harmless_at(bytes, at))
 }

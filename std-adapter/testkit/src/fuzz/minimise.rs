@@ -4,8 +4,8 @@ use super::Error;
 use crate::step::{Argument, Call, Delivery, Step};
 use crate::value::Value;
 
-/// Returns fewer and simpler steps that still fail. `fails` runs steps; after an error, or when it returns `None` because the budget
-/// is spent, the best steps so far are returned.
+/// Returns fewer and simpler steps that still fail. `fails` runs steps; after an error, or when it returns `None` because the
+/// budget is spent, the best steps found until then are returned.
 pub(super) fn minimise(steps: Vec<Step>, mut fails: impl FnMut(&[Step]) -> Result<Option<bool>, Error>) -> Vec<Step> {
     let mut best = steps;
     let mut place = 0;

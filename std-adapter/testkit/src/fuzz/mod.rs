@@ -1,4 +1,4 @@
-//! Sends sessions to a device and keeps what goes wrong.
+//! Sends sessions to a device and keeps the findings.
 //!
 //! ```text
 //!  engine    a seed -> sessions; reduces, confirms and saves findings
@@ -9,8 +9,8 @@
 //!  minimise  delta debugging
 //! ```
 //!
-//! The engine prints nothing and handles no signals: [`Device`] has a function that tells whether to end, and a [`Recording`] turns
-//! a run into a capture.
+//! The engine prints nothing and handles no signals: [`Device`] has a function that returns whether to end, and a [`Recording`]
+//! turns a run into a capture.
 
 mod channel;
 mod device;

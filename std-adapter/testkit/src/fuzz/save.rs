@@ -8,17 +8,17 @@ use super::Error;
 use super::finding::Finding;
 use crate::step::{self, Step};
 
-/// Where the files of a finding are.
+/// The paths of the files of a finding.
 #[derive(Debug)]
 pub struct Files {
     /// The steps, as a text.
     pub steps: PathBuf,
-    /// The capture of a run; not written if the device did not answer any more, or the run was ended before.
+    /// The capture of a run; not written if the device no longer answered, or the run was ended earlier.
     pub capture: PathBuf,
 }
 
 impl Files {
-    /// Makes the folder and the file of the steps, with the first number from `number` on that has no file of this kind.
+    /// Creates the folder and the file of the steps, with the first unused number from `number` on.
     pub(super) fn new(folder: &Path, number: usize, finding: &Finding) -> Result<Self, Error> {
         fs::create_dir_all(folder).map_err(|error| not_written(folder, error))?;
         let mut number = number;

@@ -37,7 +37,7 @@ impl Session {
         self.serial
     }
 
-    /// Makes the frame of a call.
+    /// Creates the frame of a call.
     pub(super) fn frame(&mut self, call: &Call) -> TestFrame {
         let serial = self.next_serial();
         let handle = |argument: &Argument| match argument {
@@ -58,7 +58,7 @@ impl Session {
         open.map(|open| open.name.as_str())
     }
 
-    /// Records a reply that is correct in itself.
+    /// Records a reply with a correct form.
     pub(super) fn replied(&mut self, request: &TestFrame, reply: &TestFrame) -> Option<Finding> {
         self.calls += 1;
         let function = FunctionId(request.code);
@@ -110,8 +110,8 @@ impl Session {
         ))
     }
 
-    /// Describes a call that opens something, so that a later refusal of the same call shows a leak; `None` for other calls. The
-    /// same text is returned only if the session is in the same state.
+    /// Returns a key for a call that opens an object; `None` for other calls. If a call with the same key is refused later, the
+    /// device leaks. The key is the same only if the session is in the same state.
     pub(super) fn opening(&self, request: &TestFrame) -> Option<String> {
         let function = FunctionId(request.code);
         let object = function.opens()?;
@@ -120,7 +120,7 @@ impl Session {
         let has_owner =
             self.open.iter().any(|open| open.object == Object::Controller && handle_of(request) == Some(open.handle));
         let values = request.args.get(usize::from(is_by_name)..)?;
-        // fewer open objects now than then would be a difference too, but a harmless one
+        // with fewer open objects than before, the call would still be comparable
         let is_comparable = is_first || (is_by_name && has_owner && self.open.len() == 1);
         is_comparable.then(|| format!("{function} {values:?}"))
     }
