@@ -244,7 +244,7 @@ fn each_end_halts_the_robot_and_frees_the_arm() {
         }),
         // HALT waits for the end of the step for 2 s, which a busy machine may need
         ("HALT was pressed", &|jogging| {
-            until("the robot is halted", || jogging.web.halt_beside(&mut jogging.page, 0)["ok"] == true);
+            until("the robot is halted", || jogging.web.halt_while_receiving(&mut jogging.page, 0)["ok"] == true);
         }),
         ("the page is closed", &|jogging| {
             let MaybeTlsStream::Plain(stream) = jogging.page.socket.get_ref() else { unreachable!() };

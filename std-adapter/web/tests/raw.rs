@@ -220,7 +220,7 @@ fn a_loop_ends_with_halt_and_with_its_screen_and_repeats_no_motion() {
     }
     page.order("show", json!({ "robot": 0, "screen": "raw" })).unwrap();
     assert_eq!(page.order("call", first.clone()).unwrap()["ok"], true);
-    assert_eq!(web.halt_beside(&mut page, 0)["ok"], true);
+    assert_eq!(web.halt_while_receiving(&mut page, 0)["ok"], true);
     let refused = page.order("call", first).unwrap_err();
     assert!(
         refused.contains("HALT was pressed, or the control was released, before it began; nothing was done"),
@@ -251,7 +251,7 @@ fn a_halt_is_not_done_while_a_call_that_was_made_before_is_under_way() {
         page.receive().expect("the page is open");
         paced.lock().unwrap().controller().arm_owner().is_some()
     });
-    let halted = web.halt_beside(&mut page, 0);
+    let halted = web.halt_while_receiving(&mut page, 0);
     let text = halted["text"].to_string();
     assert!(text.contains("has not ended, and may still move the robot: use the emergency stop"), "{halted}");
     assert_eq!(halted["ok"], false);

@@ -247,7 +247,7 @@ impl Web {
     }
 
     /// Halts a robot while a page receives, and answers its pulses; the messages are dropped.
-    pub(crate) fn halt_beside(&self, page: &mut Page, robot: usize) -> Value {
+    pub(crate) fn halt_while_receiving(&self, page: &mut Page, robot: usize) -> Value {
         thread::scope(|scope| {
             let halt = scope.spawn(|| self.halt(robot));
             while !halt.is_finished() {
