@@ -26,8 +26,8 @@ struct Case {
 }
 
 const CASES: &[Case] = &[
-    Case { name: "read::<i32> of a variable over TCP", bar: 1_467, serve: serve_tcp, run: read },
-    Case { name: "read::<i32> of a variable over UDP", bar: 1_478, serve: serve_udp, run: read },
+    Case { name: "read::<i32> of a variable over TCP", bar: 1_464, serve: serve_tcp, run: read },
+    Case { name: "read::<i32> of a variable over UDP", bar: 1_474, serve: serve_udp, run: read },
 ];
 
 fn main() -> Result<(), Box<dyn Error>> {
