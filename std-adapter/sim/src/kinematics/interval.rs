@@ -106,10 +106,10 @@ impl Enclosure {
         Self { value: self.value.squared(), slope: self.value * self.slope * 2.0 }
     }
 
-    /// Returns the square root where it exists; `None` if the function is negative everywhere.
+    /// Returns the square root where it exists; `None` if the function is negative everywhere, or too large to be computed.
     pub(super) fn sqrt(self) -> Option<Self> {
         let Interval { low, high } = self.value;
-        if high < 0.0 {
+        if high.is_nan() || high < 0.0 {
             return None;
         }
         let value = Interval::new(low.max(0.0).sqrt(), high.sqrt());

@@ -9,7 +9,8 @@
 //!
 //! A turn of J6 is divided into intervals, and interval arithmetic encloses g and its slope in each. An interval whose values
 //! exclude 0 has no solution. One whose slopes exclude 0 has at most one, and then g changes its sign there. All others are
-//! halved. So no solution is missed, even where two of them nearly coincide.
+//! halved. So no solution is missed, even where two of them nearly coincide. At the ends of the arm's reach the slope is
+//! infinite; there the last interval and its ends are tried.
 
 use std::collections::VecDeque;
 use std::f64::consts::PI;
@@ -20,6 +21,12 @@ use super::vertical::{BELOW, LEFTY, NONFLIP, Vertical};
 
 /// A value of g below this is rounding.
 const EXACT: f64 = 1e-10;
+
+/// The same at the ends of the reach, where rounding of the wrist centre changes the angle of the elbow by 1e-8.
+const ROUNDED: f64 = 1e-7;
+
+/// J6 is searched so far to either side: a little more than half a turn, so that rounding leaves no gap.
+const HALF_TURN: f64 = PI + 1e-6;
 
 /// An interval of J6 that is not halved, in radians: two solutions within it count as one.
 const FINEST: f64 = 1e-9;
@@ -107,7 +114,8 @@ impl Search<'_> {
     /// Returns the solutions in a turn of J6 about `start`; some of them twice.
     fn places(&self, start: f64) -> Vec<Candidate> {
         let mut found = Vec::new();
-        let mut intervals = VecDeque::from([Interval::new(start - PI, start), Interval::new(start, start + PI)]);
+        let mut intervals =
+            VecDeque::from([Interval::new(start - HALF_TURN, start), Interval::new(start, start + HALF_TURN)]);
         let mut halvings = 0;
         while let Some(j6) = intervals.pop_front() {
             let Some(g) = self.enclose(j6) else { continue };
@@ -125,11 +133,30 @@ impl Search<'_> {
                 halvings += 1;
                 intervals.extend([Interval::new(j6.low, middle), Interval::new(middle, j6.high)]);
             } else {
-                found.extend(self.place(middle).ok());
+                let reached = self.reached(j6);
+                found.extend(self.crossing(reached));
+                found.extend([reached.low, middle, reached.high].into_iter().filter_map(|j6| self.place(j6).ok()));
             }
         }
-        found.retain(|place| place.error().abs() < EXACT);
+        found.retain(|place| place.error().abs() < ROUNDED);
         found
+    }
+
+    /// Returns the part of an interval that the arm reaches, if that begins or ends in it.
+    fn reached(&self, Interval { low, high }: Interval) -> Interval {
+        let is_reached = |j6: f64| self.place(j6).is_ok();
+        let end = |mut inside: f64, mut outside: f64| {
+            for _ in 0..60 {
+                let middle = inside.midpoint(outside);
+                if is_reached(middle) { inside = middle } else { outside = middle }
+            }
+            inside
+        };
+        match (is_reached(low), is_reached(high)) {
+            (true, false) => Interval::new(low, end(low, high)),
+            (false, true) => Interval::new(end(high, low), high),
+            _ => Interval::new(low, high),
+        }
     }
 
     /// Returns the solution in an interval in which g has no extremum.

@@ -286,6 +286,51 @@ fn a_pose_is_reached_whose_two_solutions_are_close() {
     }
 }
 
+proptest! {
+    /// The two ends of the search for J6.
+    #[test]
+    fn poses_are_reached_from_half_a_turn_of_j6(parts in prop::array::uniform6(0.001..0.999), j6 in -170..=170) {
+        for name in ["cobotta", "cobotta pro"] {
+            let arm = arm(name);
+            let mut joints = joints_at(&arm, parts);
+            joints[5] = f64::from(j6);
+            if is_singular(&arm, &joints) {
+                continue;
+            }
+            for turn in [-180.0, 180.0] {
+                let mut near = joints;
+                near[5] += turn;
+                let back = arm.inverse(&arm.forward(&joints), arm.figure(&joints), &near);
+                prop_assert!(back.is_ok(), "{name}: {joints:?} from {near:?}");
+            }
+        }
+    }
+
+    /// The ends of the reach, where the slope of the function that is searched is infinite.
+    #[test]
+    fn a_stretched_arm_with_an_offset_wrist_is_found(
+        parts in prop::array::uniform6(0.001..0.999),
+        j3 in prop::sample::select(vec![0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2]),
+    ) {
+        let arm = arm("cobotta pro");
+        let mut joints = joints_at(&arm, parts);
+        joints[2] = j3;
+        prop_assume!(!is_singular(&arm, &[joints[0], joints[1], 90.0, joints[3], joints[4], joints[5]]));
+        let frame = arm.forward(&joints);
+        let back = arm.inverse(&frame, arm.figure(&joints), &joints);
+        prop_assert!(back.is_ok(), "{joints:?}");
+        assert_close(&arm.forward(&back.unwrap()).to_trans(), &frame.to_trans(), 1e-3);
+    }
+}
+
+#[test]
+fn a_pose_beyond_all_numbers_is_out_of_reach_at_once() {
+    for far in [1e160, 1e300, f64::INFINITY, f64::NAN] {
+        let frame = Frame { position: [far, 0.0, 300.0], ..arm("cobotta").forward(&[0.0; 6]) };
+        assert!(arm("cobotta").inverse_nearest(&frame, &[0.0; 6]).is_err(), "{far}");
+    }
+}
+
 /// Less than usual, because each case searches on all arms; `PROPTEST_CASES` sets another number.
 fn few_cases() -> ProptestConfig {
     let usual = ProptestConfig::default();
