@@ -10,6 +10,7 @@ use bcap_embassy::gateway::{Front, Limits, Report, SerialRobot, SharedGateway, r
 use bcap_embassy::serial::transport;
 use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Rules};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_time::Timer;
 use embedded_io_async::{Read, Write};
 
 /// The rate of the robot's line.
@@ -42,7 +43,10 @@ fn log(report: &Report<'_>) {
 pub async fn serve_plc<U: Read + Write>(uart: U, board: &Board<'_>) -> ! {
     let mut line = transport(uart);
     loop {
-        let _ = serve(&mut line, Front::Rac, None, board, &Limits::default()).await;
+        if serve(&mut line, Front::Rac, None, board, &Limits::default()).await.is_none() {
+            // the rules may allow no client without an address
+            Timer::after_secs(1).await;
+        }
     }
 }
 

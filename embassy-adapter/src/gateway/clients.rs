@@ -11,7 +11,8 @@ use super::SharedGateway;
 /// The size of the buffer through which bytes move; most lines are shorter.
 pub(super) const CHUNK: usize = 64;
 
-/// Serves one PLC until its session ends, and returns the reason; `None` when all slots are in use.
+/// Serves one PLC until its session ends, and returns the reason; `None` if it gets no slot, because all are in use, the rules
+/// do not allow it to connect, or the gateway stops. A caller that serves a line again after `None` should wait before.
 ///
 /// When all slots are in use, it first ends the session of the client that has been idle for the longest time, at least
 /// [`Limits::evict_after`], preferably one with the same address.

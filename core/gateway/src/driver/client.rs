@@ -21,7 +21,7 @@ pub(super) struct Connected<A> {
     pub(super) address: A,
     /// The time of its connection, or of the last bytes from it or to it.
     pub(super) last_active: Instant,
-    /// Whether its front is busy.
+    /// Whether it waits for an answer or receives it.
     pub(super) is_busy: bool,
 }
 

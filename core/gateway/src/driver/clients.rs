@@ -14,7 +14,11 @@ use super::{Ended, Front, Limits, Platform, SharedGateway};
 /// The answer to the first line of a client without a slot, E_MAX_CONNECT.
 const FULL: &[u8] = b"-2147481333\r";
 
-/// Serves one PLC until its session ends, and returns the reason; `None` when it gets no slot.
+/// Serves one PLC until its session ends, and returns the reason; `None` if it gets no slot, because all are in use, the rules
+/// do not allow it to connect, or the gateway stops.
+///
+/// A listener calls [`SharedGateway::admits`] first, to reset the connection of a client that the rules do not allow. A caller
+/// that serves a line again after `None` should wait before.
 ///
 /// When all slots are in use, it first ends the session of the client that has been idle for the longest time, at least
 /// [`Limits::evict_after`], preferably a client of the same host.
@@ -32,7 +36,12 @@ pub async fn serve<X: Transport, P: Platform, const CHUNK: usize>(
     limits: &Limits,
     failure: impl FnOnce(&X::Error) -> P::Failure,
 ) -> Option<Ended<X::Error>> {
-    let mut slot = ClientSlot { peer: shared.open(client, limits)?, shared, ended: None };
+    let Some(peer) = shared.open(client, limits) else {
+        // a caller that tries again immediately must not keep other tasks from running
+        yield_now().await;
+        return None;
+    };
+    let mut slot = ClientSlot { peer, shared, ended: None };
     let ended = run_session(transport, &mut front, shared, (slot.peer, P::ipv4(client)), limits, &mut [0; CHUNK]).await;
     let ended = ended.unwrap_or_else(Ended::Failed);
     slot.ended = Some(ended.map(failure));

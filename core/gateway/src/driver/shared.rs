@@ -254,7 +254,7 @@ impl<P: Platform> Shared<'_, P> {
         }
     }
 
-    /// Records whether the front of a client is busy.
+    /// Records whether a client waits for an answer or receives it.
     pub(super) fn exchanged(&mut self, peer: PeerId, front: &Front<'_, '_>) {
         if let Some(connected) = self.client(peer).and_then(|client| client.connected.as_mut()) {
             connected.is_busy = front.is_busy();

@@ -8,7 +8,7 @@ use core::future::pending;
 use core::net::Ipv4Addr;
 use core::pin::pin;
 use core::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use core::task::{Context, Waker};
+use core::task::{Context, Poll, Waker};
 use core::time::Duration;
 use std::string::String;
 use std::sync::Arc;
@@ -228,4 +228,18 @@ fn a_client_of_several_lines_has_one_answer_a_turn_and_of_one_line_no_second_tur
         });
         assert_eq!(found, turns, "answers and wakes after each turn, {lines} lines");
     }
+}
+
+/// A task of a line serves it again after that, without another wait.
+#[test]
+fn a_client_without_a_slot_lets_other_tasks_run() {
+    let mut memory = Memory::<1, 4>::new();
+    let shared = SharedGateway::<Bench>::new(Gateway::new(Config::RC8, &mut memory), |_| {});
+    shared.stop();
+    let answers = Cell::new(0);
+    let mut transport = Lines { lines: b"", answers: &answers };
+    let mut session = pin!(serve::<_, _, 64>(&mut transport, Front::Rac, (1, 0), &shared, &LIMITS, |_| ()));
+    let mut poll = || session.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+    assert!(poll().is_pending());
+    assert!(matches!(poll(), Poll::Ready(None)));
 }
