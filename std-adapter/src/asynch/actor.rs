@@ -61,6 +61,8 @@ pub(super) struct MoveRequest {
     pub(super) motion: Option<Move>,
     pub(super) until: Until,
     pub(super) reply: oneshot::Sender<Result<MotionQueue, Error>>,
+    /// Its place in the queue, returned at its turn.
+    pub(super) permit: Option<OwnedSemaphorePermit>,
 }
 
 /// A function of a session, with the receiver of its result.
@@ -457,7 +459,8 @@ impl Actor {
         request: Box<MoveRequest>,
         earlier: Option<ActiveMotion>,
     ) -> Option<ActiveMotion> {
-        let MoveRequest { arm, queue, motion, until, reply } = *request;
+        let MoveRequest { arm, queue, motion, until, reply, permit } = *request;
+        drop(permit);
         if arm != session.arm_id() {
             self.count(false);
             let _ = reply.send(Err(Error::ArmLost));

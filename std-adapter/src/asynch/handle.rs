@@ -95,15 +95,19 @@ impl Handle {
         self.requests.send(request).map_err(|_| Error::Closed)
     }
 
+    /// Waits for a place in the queue.
+    pub(super) async fn place(&self) -> Option<OwnedSemaphorePermit> {
+        // nothing closes the semaphore
+        Arc::clone(&self.queue).acquire_owned().await.ok()
+    }
+
     /// Runs a function of the session in the task, unless the caller has gone before its turn. It waits while the queue is full.
     pub(super) async fn run<T, F>(&self, work: F) -> Result<T, Error>
     where
         F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
         T: Send + 'static,
     {
-        // nothing closes the semaphore
-        let permit = Arc::clone(&self.queue).acquire_owned().await.ok();
-        self.carry_out(work, permit, false).await
+        self.carry_out(work, self.place().await, false).await
     }
 
     /// Runs a function of the session in the task, even if the caller has gone. It does not wait for a full queue, and no time

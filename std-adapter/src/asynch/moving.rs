@@ -91,8 +91,9 @@ pub(super) async fn run_queue(
     motion: Option<Move>,
     until: Until,
 ) -> Result<MotionQueue, Error> {
+    let permit = handle.place().await;
     let (reply, ended) = oneshot::channel();
-    handle.send(Request::Move(Box::new(MoveRequest { arm, queue, motion, until, reply })))?;
+    handle.send(Request::Move(Box::new(MoveRequest { arm, queue, motion, until, reply, permit })))?;
     ended.await.map_err(|_| Error::Closed)?
 }
 

@@ -166,7 +166,7 @@ impl Arm<'_> {
     /// }
     /// # Ok::<(), bcap_std::Error>(())
     /// ```
-    pub const fn controller(&mut self) -> ControllerRef<'_> {
+    pub fn controller(&mut self) -> ControllerRef<'_> {
         ControllerRef::new(self.session())
     }
 }

@@ -28,7 +28,9 @@ impl<'a> Limited<'a> {
     }
 
     /// Returns the session, for calls without the time limit.
-    pub(super) const fn session(&mut self) -> &mut Session<Blocking> {
+    pub(super) fn session(&mut self) -> &mut Session<Blocking> {
+        // a panic of the caller's encoder or conversion leaves the limit of the call before
+        self.session.set_limit(None);
         self.session
     }
 

@@ -51,8 +51,8 @@ impl<'a> Robot<'a> {
         Self { calls: Limited::new(session) }
     }
 
-    /// Returns this robot with a time limit for each of its calls. An [`Arm`] that it takes has none: motions have their own
-    /// limit, and a halt has none.
+    /// Returns this robot with a time limit for each reading, command and examination. Taking the arm and recovering have none,
+    /// nor has a halt or the [`Arm`], whose motions have their own limit.
     ///
     /// A call without a reply in this time fails with [`Error::NoReply`]; the controller may have executed it. The connection
     /// stays usable.
@@ -64,7 +64,7 @@ impl<'a> Robot<'a> {
     /// let joints = cell.robot()?.within(Duration::from_millis(200)).joints()?;
     /// # Ok::<(), bcap_std::Error>(())
     /// ```
-    pub const fn within(&mut self, limit: Duration) -> Robot<'_> {
+    pub fn within(&mut self, limit: Duration) -> Robot<'_> {
         Robot { calls: Limited::new(self.calls.session()).within(limit) }
     }
 
@@ -202,7 +202,7 @@ impl<'a> Arm<'a> {
     }
 
     /// Returns the session, for objects of this session that exist while the arm is taken.
-    pub(super) const fn session(&mut self) -> &mut Session<Blocking> {
+    pub(super) fn session(&mut self) -> &mut Session<Blocking> {
         self.robot.calls.session()
     }
 

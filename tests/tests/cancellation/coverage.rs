@@ -76,6 +76,7 @@ pub(crate) const STD: &[(&str, Coverage)] = &[
     ("asynch/handle.rs: Handle::carry_out", Through("asynch/controller.rs: Controller::read")),
     ("asynch/handle.rs: Handle::connect", Through("asynch/controller.rs: Controller::connect")),
     ("asynch/handle.rs: Handle::over", Through("asynch/controller.rs: Controller::over")),
+    ("asynch/handle.rs: Handle::place", Through("asynch/controller.rs: Controller::read")),
     ("asynch/handle.rs: Handle::run", Through("asynch/controller.rs: Controller::read")),
     ("asynch/handle.rs: Handle::run_always", Through("asynch/robot.rs: Stopper::halt")),
     ("asynch/moving.rs: Moving::halt", Through("asynch/robot.rs: Arm::start")),
