@@ -11,8 +11,8 @@
 //! ```
 //!
 //! All fields are little-endian. Source: b-CAP guide for RC8, "Packet format" (b-CAP specification, sections 4.1.1 to
-//! 4.1.5). Only this file contains their offsets; the decoder, the frame writer, the client, the server and tools that
-//! show or damage single fields use [`Header`] and [`field`].
+//! 4.1.5). Only this file contains their offsets, apart from bcap-testkit, whose decoder is independent. The decoder, the frame
+//! writer, the client, the server and tools that show or damage single fields use [`Header`] and [`field`].
 //!
 //! # Examples
 //!

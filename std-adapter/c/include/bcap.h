@@ -462,7 +462,9 @@ bcap_status bcap_client_start(bcap_client *client,
                               uint64_t now_us);
 
 // Returns the bytes to send: one datagram, or the rest of a frame. `count` is 0 if there are no bytes to send.
-bcap_status bcap_client_transmit(bcap_client *client, const uint8_t **bytes, size_t *count);
+bcap_status bcap_client_transmit(bcap_client *client,
+                                 const uint8_t **bytes,
+                                 size_t *count);
 
 // Records that the link has taken `count` bytes of `bcap_client_transmit`.
 bcap_status bcap_client_transmitted(bcap_client *client, size_t count);
@@ -486,8 +488,7 @@ bcap_status bcap_client_deadline(bcap_client *client,
 
 // Returns the value of the reply; EMPTY if it has no value. It points into the receive buffer, until
 // `bcap_client_receive_buffer` or `bcap_client_start`.
-bcap_status bcap_client_value(bcap_client *client,
-                              bcap_value *value);
+bcap_status bcap_client_value(bcap_client *client, bcap_value *value);
 
 // Abandons the call in flight. Its reply is then dropped; the controller may execute it.
 bcap_status bcap_client_abandon(bcap_client *client);
