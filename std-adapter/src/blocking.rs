@@ -324,3 +324,16 @@ fn sleep_until(at: Instant) {
         thread::sleep(rest);
     }
 }
+
+#[cfg(all(test, not(feature = "serial")))]
+mod tests {
+    use super::*;
+    use crate::Settings;
+
+    #[test]
+    fn a_build_without_serial_lines_names_the_feature() {
+        let error = Controller::connect("serial:/dev/ttyUSB0", &Settings::rc8()).unwrap_err();
+        let text = "cannot open the serial line /dev/ttyUSB0: enable the feature `serial` of bcap-std";
+        assert_eq!(error.to_string(), text);
+    }
+}

@@ -239,16 +239,3 @@ pub(crate) fn random_serial() -> u16 {
     let random = RandomState::new().build_hasher().finish();
     u16::try_from(random % u64::from(u16::MAX)).unwrap_or(0) + 1
 }
-
-#[cfg(all(test, not(feature = "serial")))]
-mod tests {
-    use crate::Settings;
-    use crate::blocking::Controller;
-
-    #[test]
-    fn a_build_without_serial_lines_names_the_feature() {
-        let error = Controller::connect("serial:/dev/ttyUSB0", &Settings::rc8()).unwrap_err();
-        let text = "cannot open the serial line /dev/ttyUSB0: enable the feature `serial` of bcap-std";
-        assert_eq!(error.to_string(), text);
-    }
-}

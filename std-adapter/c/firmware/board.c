@@ -1,4 +1,4 @@
-/* MPS2 AN385: vectors, the start, SysTick, two serial ports. */
+/* MPS2 AN385: the start, SysTick, two serial ports. */
 #include "board.h"
 
 #include <string.h>
@@ -60,17 +60,11 @@ void leave(int failed) {
 
 void fault(void) { leave(1); }
 
-extern uint32_t data_start, data_end, data_load, bss_start, bss_end, stack_top;
+extern uint32_t data_start, data_end, data_load, bss_start, bss_end;
 
-void reset(void) {
+void board_start(void) {
     memcpy(&data_start, &data_load, (size_t)((char *)&data_end - (char *)&data_start));
     memset(&bss_start, 0, (size_t)((char *)&bss_end - (char *)&bss_start));
     SYSTICK_RELOAD = CLOCK_HZ / 1000 - 1;
     SYSTICK_CONTROL = 7;
-    program();
-    leave(0);
 }
-
-__attribute__((section(".vectors"), used)) static const void *const vectors[16] = {
-    &stack_top, reset, fault, fault, fault, fault, fault, 0, 0, 0, 0, fault, fault, 0, fault, tick,
-};

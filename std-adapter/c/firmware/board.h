@@ -14,7 +14,11 @@ int uart_read(int port, uint8_t *byte);
 int uart_write(int port, uint8_t byte);
 /* Ends the program in the emulator. */
 void leave(int failed);
-/* The program. */
-void program(void);
+/* Sets up memory and SysTick; the first call after a reset. */
+void board_start(void);
+/* The handler of SysTick, each millisecond. */
+void tick(void);
+/* The handler of all faults, which ends the program. */
+void fault(void);
 
 #endif

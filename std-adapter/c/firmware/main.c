@@ -76,7 +76,7 @@ static bcap_status read_i1(int64_t *i1) {
     return call(BCAP_FN_VARIABLE_GET_VALUE, &handle, 1, i1);
 }
 
-void program(void) {
+static void program(void) {
     int64_t i1 = 0;
     uart_start(ROBOT);
     uart_start(CONSOLE);
@@ -88,3 +88,15 @@ void program(void) {
     print("\n");
     leave(status != BCAP_OK);
 }
+
+extern uint32_t stack_top;
+
+void reset(void) {
+    board_start();
+    program();
+    leave(0);
+}
+
+__attribute__((section(".vectors"), used)) static const void *const vectors[16] = {
+    &stack_top, reset, fault, fault, fault, fault, fault, 0, 0, 0, 0, fault, fault, 0, fault, tick,
+};

@@ -9,8 +9,7 @@ use pyo3::prelude::*;
 use tokio::sync::{Mutex, watch};
 
 use crate::call::Call;
-use crate::controller::{seconds, unknown};
-use crate::error::{self, Failure};
+use crate::error::{self, Failure, seconds, unknown};
 use crate::runtime::Home;
 use crate::slave::{Stream, StreamConfig};
 
@@ -127,7 +126,9 @@ impl Arm {
 
     /// Begins a stream of Slave Mode.
     fn stream(&self, config: StreamConfig) -> PyResult<Call> {
-        Stream::begin(self, config)
+        Stream::begin(&self.home, config, |format, limits, trajectory| {
+            self.run(move |arm| Box::pin(arm.stream(format, limits, trajectory)))
+        })
     }
 
     /// Halts a motion, and gives the arm back.

@@ -17,8 +17,7 @@ use bcap_std::{Address, CallError, Error, Model, NetworkAddress, Options, Protoc
 use pyo3::exceptions::{PyOSError, PyRuntimeError};
 use pyo3::prelude::*;
 
-use crate::controller::seconds;
-use crate::error;
+use crate::error::{self, seconds};
 use crate::runtime::{FORKED, SIGNALS, lock};
 use crate::value::{Value, value_of};
 

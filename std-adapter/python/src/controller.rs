@@ -1,7 +1,6 @@
 //! A controller, its stopper, and the changes of its variables.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use bcap_sim::memory::Network;
 use bcap_std::blocking::Halted;
@@ -9,13 +8,12 @@ use bcap_std::core::hresult::HResult;
 use bcap_std::core::variant::OwnedVariant;
 use bcap_std::{Error, Joints, Options, Position, RecoveryConfig, Settings, TaskStart, TaskStatus};
 use bcap_std::{TaskStop, asynch};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tokio::sync::Mutex;
 
 use crate::arm::Arm;
 use crate::call::Call;
-use crate::error::{self, Failure};
+use crate::error::{self, Failure, seconds, unknown};
 use crate::runtime::Home;
 use crate::sim::{Sim, find_model};
 use crate::value::{Value, equals, from_python};
@@ -52,16 +50,6 @@ pub(crate) fn connect(
         };
         Ok(Controller { home, cell, network, settings })
     }))
-}
-
-/// Returns a duration; `ValueError` unless the number is finite and not negative.
-pub(crate) fn seconds(number: f64) -> PyResult<Duration> {
-    Duration::try_from_secs_f64(number).map_err(|_| PyValueError::new_err(format!("invalid time: {number} s")))
-}
-
-/// Returns the exception for a word that is not in a list.
-pub(crate) fn unknown(what: &str, word: &str, known: &str) -> PyErr {
-    PyValueError::new_err(format!("unknown {what} {word:?}; known are {known}"))
 }
 
 /// Returns number, name, meaning and remedy of a code.

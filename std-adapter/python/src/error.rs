@@ -1,10 +1,13 @@
 //! Errors as exceptions, whose classes are in `bcap.errors`.
 
+use std::time::Duration;
+
 use bcap_std::core::bcap::client::ClientError;
 use bcap_std::core::hresult::HResult;
 use bcap_std::core::slave::{Cause, StreamError};
 use bcap_std::{CallError, Error, Motion};
 use bcap_stream::steps::StepError;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 /// Why a call of Python failed.
@@ -111,4 +114,14 @@ pub(crate) fn exception(py: Python<'_>, class: &str, text: String, code: Option<
         class.call1((text, code.to_u32(), code.name(), code.meaning(), code.hint().map(|hint| hint.to_string())))
     };
     make().map_or_else(|error| error, PyErr::from_value)
+}
+
+/// Returns a duration; `ValueError` unless the number is finite and not negative.
+pub(crate) fn seconds(number: f64) -> PyResult<Duration> {
+    Duration::try_from_secs_f64(number).map_err(|_| PyValueError::new_err(format!("invalid time: {number} s")))
+}
+
+/// Returns the exception for a word that is not in a list.
+pub(crate) fn unknown(what: &str, word: &str, known: &str) -> PyErr {
+    PyValueError::new_err(format!("unknown {what} {word:?}; known are {known}"))
 }

@@ -12,7 +12,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tokio::sync::oneshot;
 
-use crate::controller::unknown;
+use crate::error::unknown;
 use crate::runtime::lock;
 
 /// A virtual controller on a port of this machine, or in memory with a clock that never waits.

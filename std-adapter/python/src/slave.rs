@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use bcap_std::Error;
-use bcap_std::core::slave::{AxisLimits, Cycle, MoveReply, Next, Pose, PoseType, Stats, Trajectory};
+use bcap_std::core::slave::{AxisLimits, Cycle, Format, MoveReply, Next, Pose, PoseType, Stats, Trajectory};
 use bcap_std::core::time::Instant;
 use bcap_stream::steps::{PoseSender, Step, format, given};
 use pyo3::exceptions::PyValueError;
@@ -18,10 +18,8 @@ use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::{Mutex, watch};
 use tokio::task::{JoinHandle, block_in_place};
 
-use crate::arm::Arm;
 use crate::call::Call;
-use crate::controller::{seconds, unknown};
-use crate::error::Failure;
+use crate::error::{Failure, seconds, unknown};
 use crate::runtime::Home;
 
 /// The settings of a stream, as a dictionary.
@@ -51,8 +49,15 @@ pub(crate) struct Stream {
 type StreamTask = JoinHandle<Result<Stats, Failure>>;
 
 impl Stream {
-    /// Begins a stream, and waits until the first pose is wanted.
-    pub(crate) fn begin(arm: &Arm, config: StreamConfig) -> PyResult<Call> {
+    /// Begins a stream, which `start` runs with the arm, and waits until the first pose is wanted.
+    pub(crate) fn begin<F>(
+        home: &Arc<Home>,
+        config: StreamConfig,
+        start: impl FnOnce(Format, AxisLimits, Blocking) -> F,
+    ) -> PyResult<Call>
+    where
+        F: Future<Output = Result<Stats, Failure>> + Send + 'static,
+    {
         let kind = match &*config.kind {
             "J" => PoseType::J,
             "P" => PoseType::P,
@@ -66,10 +71,10 @@ impl Stream {
         let (sender, mut wanted) = watch::channel(None);
         let pose_timeout = seconds(config.pose_timeout)?;
         let (poses, trajectory) = given(pose_timeout, move |step| drop(sender.send_replace(Some(step))));
-        let streaming = arm.run(move |arm| Box::pin(arm.stream(format, limits, Blocking(trajectory))));
-        let (home, runtime) = (Arc::clone(&arm.home), arm.home.handle()?.clone());
+        let streaming = start(format, limits, Blocking(Box::new(trajectory)));
+        let (stream_home, runtime) = (Arc::clone(home), home.handle()?.clone());
         let blocks = home.streams();
-        Ok(Call::fallible(&arm.home, async move {
+        Ok(Call::fallible(home, async move {
             let task = runtime.spawn(async move {
                 let _blocks = blocks;
                 streaming.await
@@ -78,7 +83,7 @@ impl Stream {
                 return ended(&poses, &mut { task }).await.and(Err(Error::Closed.into()));
             }
             let task = Arc::new(Mutex::new(Some(task)));
-            Ok(Self { home, kind, poses, wanted, turn: Arc::default(), task })
+            Ok(Self { home: stream_home, kind, poses, wanted, turn: Arc::default(), task })
         }))
     }
 }
@@ -133,9 +138,9 @@ fn cycle(Step { number, start, actual }: Step) -> (u32, Vec<f64>, Vec<f64>) {
 
 /// A trajectory that blocks. The other tasks of the shared runtime continue; the tasks of a session wait for the end of its
 /// stream.
-struct Blocking<T>(T);
+pub(crate) struct Blocking(Box<dyn Trajectory + Send>);
 
-impl<T: Trajectory> Trajectory for Blocking<T> {
+impl Trajectory for Blocking {
     fn next(&mut self, cycle: &Cycle<'_>) -> Next {
         match Handle::current().runtime_flavor() {
             RuntimeFlavor::MultiThread => block_in_place(|| self.0.next(cycle)),
