@@ -96,6 +96,11 @@ impl Browser {
     /// Calls a method, and returns its result.
     #[track_caller]
     pub(crate) fn call(&mut self, method: &str, params: Value) -> Value {
+        self.try_call(method, params).unwrap_or_else(|error| panic!("{method}: {error}"))
+    }
+
+    /// Calls a method, and returns its result or its error.
+    fn try_call(&mut self, method: &str, params: Value) -> Result<Value, Value> {
         self.last += 1;
         let mut call = json!({ "id": self.last, "method": method, "params": params });
         if !self.session.is_empty() {
@@ -106,8 +111,11 @@ impl Browser {
             let Message::Text(text) = self.socket.read().unwrap() else { continue };
             let message: Value = serde_json::from_str(&text).unwrap();
             if message["id"] == self.last {
-                assert!(message["error"].is_null(), "{method}: {}", message["error"]);
-                return message["result"].clone();
+                return if message["error"].is_null() {
+                    Ok(message["result"].clone())
+                } else {
+                    Err(message["error"].clone())
+                };
             }
             self.event(&message);
         }
@@ -145,12 +153,22 @@ impl Browser {
         result["result"]["value"].clone()
     }
 
+    /// Evaluates an expression in the page; `None` if another page replaces it during that.
+    #[track_caller]
+    fn eval_unless_left(&mut self, expression: &str) -> Option<Value> {
+        let params = json!({ "expression": expression, "returnByValue": true });
+        match self.try_call("Runtime.evaluate", params) {
+            Ok(result) => Some(result["result"]["value"].clone()),
+            Err(error) if error["message"] == "Inspected target navigated or closed" => None,
+            Err(error) => panic!("{expression}: {error}"),
+        }
+    }
+
     /// Waits until an expression is true. While a page loads it may fail.
     #[track_caller]
     pub(crate) fn until(&mut self, expression: &str) {
         let end = Instant::now() + LIMIT;
-        let params = json!({ "expression": expression, "returnByValue": true });
-        while self.call("Runtime.evaluate", params.clone())["result"]["value"] != true {
+        while self.eval_unless_left(expression) != Some(json!(true)) {
             if Instant::now() > end {
                 let text = self.eval("document.body.innerText");
                 panic!("{expression}; the page is {text}, problems {:?}", self.problems);
@@ -182,7 +200,8 @@ impl Browser {
             self.eval(&watch);
             self.hold(selector);
             self.lift();
-            if self.eval("window.isClicked") != false {
+            // a click that opens another page was made
+            if self.eval_unless_left("window.isClicked") != Some(json!(false)) {
                 break;
             }
         }
