@@ -57,7 +57,7 @@ impl<D, C: crate::time::Clock> Polled<D, C> {
 
 #[cfg(feature = "embedded-io")]
 impl<D: embedded_io::Read + embedded_io::ReadReady, C> Polled<D, C> {
-    /// Reads the bytes that have arrived; `None` if there are none.
+    /// Reads without waiting; `None` if no bytes have arrived.
     fn read_available(&mut self, buffer: &mut [u8]) -> Result<Option<usize>, D::Error> {
         if self.device.read_ready()? { self.device.read(buffer).map(Some) } else { Ok(None) }
     }
