@@ -328,8 +328,9 @@ fn keeps_alive(at_a_time: usize) -> [String; 2] {
         let mut request = [0; 600];
         let (count, client) = socket.recv_from(&mut request).unwrap();
         let reply = executing(&request[..count]);
-        // the client may have disconnected already
-        while socket.send_to(&reply, client).is_ok() {
+        // a connected socket reports that the client has ended
+        socket.connect(client).unwrap();
+        while socket.send(&reply).is_ok() {
             pace();
         }
     });

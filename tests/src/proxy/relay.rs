@@ -103,8 +103,10 @@ impl Relay {
 
     /// Closes all connections; bytes that are held are lost. New connections pass.
     pub fn disconnect(&self) {
-        self.cut(Cut::Fin);
-        self.heal();
+        // in one step, so that a client that connects again at once is accepted
+        self.state.send_modify(|state| {
+            *state = State { cuts: state.cuts + 1, cut: Some(Cut::Fin), open: true, ..*state };
+        });
     }
 
     /// Lets bytes in both directions wait, or pass again.
