@@ -301,7 +301,7 @@ pub enum RequestPart {
 }
 
 impl TextError {
-    /// Creates an error; `column` is counted from 1.
+    /// Creates an error; `column` is counted from 1, and is 0 for a value without text.
     #[must_use]
     pub const fn new(kind: TextErrorKind, column: u32) -> Self {
         Self { kind, column }

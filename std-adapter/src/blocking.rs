@@ -154,7 +154,7 @@ impl Timeouts {
         // the send buffer almost always has room for a request, so the common case needs no timeout
         match classified(try_send(socket, bytes)) {
             Some(Ok(Some(count))) => return Ok(Some(count)),
-            // the system reports a connection that it abandoned once only
+            // the system reports only once that it has abandoned a connection
             Some(Err(error)) if error.kind() == io::ErrorKind::TimedOut => return Err(error),
             _ => {}
         }

@@ -160,8 +160,8 @@ impl Error {
         }
     }
 
-    /// Returns whether the controller may have executed the call that failed: no reply says otherwise. A motion may then be in
-    /// progress.
+    /// Returns whether the controller may have executed the failed call: it has no reply, or a reply that does not exclude it. A
+    /// motion may then be in progress.
     #[must_use]
     pub const fn may_have_run(&self) -> bool {
         use ClientError::{Busy, Encode, TooLarge};

@@ -260,7 +260,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         if !self.link.is_doubtful || !self.outlasts_its_link() || self.link.lost.is_some() {
             return;
         }
-        // Slave Mode allows this call; any other answer shows that the session exists
+        // Slave Mode allows this call; the session exists unless the answer is the end of a session
         match self.open(Object::Controller, self.handle.0, PathStep::variable("@ERROR_CODE")).await {
             Ok(handle) => drop(self.release_object(Object::Variable, handle).await),
             Err(error) if error.ends_session() && error.code().is_some() => {

@@ -21,6 +21,7 @@ use bcap_tests::real_time::repeated;
 use bcap_tests::served::Served;
 use bcap_tests::simulated::{Outcomes, quick, simulated, to};
 use bcap_tests::slowed::{Slowed, inner};
+use tokio::task::JoinSet;
 
 const LIMIT: Duration = Duration::from_secs(30);
 
@@ -250,6 +251,24 @@ async fn motions_follow_each_other_and_other_calls_are_made() {
     assert_eq!(motion, Motion::Arrived);
     assert!((sim.application().joints()[0] - 140.0).abs() < 0.05);
     assert!(reads > 1, "{reads} reads during the motions");
+}
+
+/// The controller has the motion already, so its time limit must not wait until all other callers have had their turn.
+#[tokio::test]
+async fn the_time_limit_of_a_running_motion_does_not_wait_for_a_full_queue() {
+    const READS: usize = 20_000;
+    let sim = simulated();
+    let (cell, mut arm) = ready(&sim).await;
+    let moving = arm.start(&far(), Duration::from_millis(500)).await.unwrap();
+    let mut reads = JoinSet::new();
+    for _ in 0..READS {
+        let cell = cell.clone();
+        reads.spawn(async move { cell.read::<i32>("I1").await });
+    }
+    tokio::task::yield_now().await;
+    assert_eq!(moving.wait().await.unwrap(), Motion::TimedOut);
+    while reads.try_join_next().is_some() {}
+    assert!(!reads.is_empty(), "all {READS} reads were made before");
 }
 
 #[tokio::test]

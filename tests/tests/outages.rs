@@ -91,25 +91,32 @@ async fn move_async(relay: &Relay, (is_short, waits): (bool, bool), ended: &Atom
 
 #[test]
 fn a_motion_is_told_truly_and_the_robot_is_left_safe_after_a_silent_link() {
-    for (is_short, waits, is_async) in [true, false]
-        .into_iter()
-        .flat_map(|s| [true, false].into_iter().flat_map(move |w| [(s, w, true), (s, w, false)]))
-    {
-        let sim = simulated();
-        let (relay, ended) = (Relay::tcp(sim.tcp), AtomicBool::new(false));
-        let outcome = thread::scope(|scope| {
-            let moves = scope.spawn(|| {
-                if is_async {
-                    let runtime = tokio::runtime::Runtime::new().unwrap();
-                    runtime.block_on(move_async(&relay, (is_short, waits), &ended))
-                } else {
-                    move_blocking(&relay, (is_short, waits), &ended)
+    thread::scope(|scope| {
+        for is_short in [true, false] {
+            for waits in [true, false] {
+                for is_async in [true, false] {
+                    scope.spawn(move || lose_the_link(is_short, waits, is_async));
                 }
-            });
-            interrupt(&sim, &relay, is_short, &ended);
-            moves.join().unwrap()
+            }
+        }
+    });
+}
+
+fn lose_the_link(is_short: bool, waits: bool, is_async: bool) {
+    let sim = simulated();
+    let (relay, ended) = (Relay::tcp(sim.tcp), AtomicBool::new(false));
+    let outcome = thread::scope(|scope| {
+        let moves = scope.spawn(|| {
+            if is_async {
+                let runtime = tokio::runtime::Runtime::new().unwrap();
+                runtime.block_on(move_async(&relay, (is_short, waits), &ended))
+            } else {
+                move_blocking(&relay, (is_short, waits), &ended)
+            }
         });
-        assert_told(&outcome, is_short);
-        sim.until(is_left);
-    }
+        interrupt(&sim, &relay, is_short, &ended);
+        moves.join().unwrap()
+    });
+    assert_told(&outcome, is_short);
+    sim.until(is_left);
 }

@@ -41,7 +41,7 @@ pub struct Slots {
 /// The holder of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Holder<K> {
-    /// The identification of the holder for the caller.
+    /// The caller's key for this holder.
     pub key: K,
     /// Whether it is a client of the same host as the new one.
     pub is_same_host: bool,

@@ -26,7 +26,7 @@ pub struct Config {
     pub arm: Option<[i32; 2]>,
     /// Whether to switch the motor on.
     pub motor: bool,
-    /// Whether to switch the motor off at the end, if the engine has switched it on; even if it was already on before.
+    /// Whether to switch the motor off at the end if [`motor`](Self::motor) is set, even if it was on before the stream.
     pub motor_off: bool,
     /// The required position of the robot at the start of the stream; `None` accepts any position.
     pub start: Option<Pose>,

@@ -516,7 +516,7 @@ impl Big {
         inexact
     }
 
-    /// Returns the number of bits up to the first set bit.
+    /// Returns the number of bits up to and including the highest set bit.
     fn bits(&self) -> i32 {
         let top = self.limbs.iter().take(self.len).rposition(|limb| *limb != 0);
         let bits = top.and_then(|top| {

@@ -12,7 +12,7 @@ use super::SharedGateway;
 pub(super) const CHUNK: usize = 64;
 
 /// Serves one PLC until its session ends, and returns the reason; `None` if it gets no slot, because all are in use, the rules
-/// do not allow it to connect, or the gateway stops. A caller that serves a line again after `None` should wait before.
+/// do not allow it to connect, or the gateway stops. A caller that serves a line again after `None` should wait first.
 ///
 /// When all slots are in use, it first ends the session of the client that has been idle for the longest time, at least
 /// [`Limits::evict_after`], preferably one with the same address.

@@ -70,8 +70,8 @@ pub fn files<'a>(a: &'a Contents, b: &'a Contents) -> Vec<Difference<&'a String,
     files
 }
 
-/// Returns the parts that were not compared because one side lacks them, each with a flag for the first side; with `system`,
-/// the system variables too.
+/// Returns the parts that were not compared because one side lacks them, each with `true` if the first side lacks
+/// it; with `system`, the system variables too.
 pub fn omitted<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> impl Iterator<Item = (bool, &'a Omission)> {
     let parts = [(true, a), (false, b)]
         .into_iter()

@@ -172,16 +172,16 @@ fn boards_are_found_once_and_other_datagrams_ignored() {
     let address = ([192, 168, 0, 9].into(), 24);
     let mac = [2, 0, 0, 0xbc, 0xa9, 3];
     let found = Found { name: "cell-7", board: "w5500-evb-pico", version: "0.1.0", address, port: 5006, mac };
-    let run = bcap(&["board", "find", &board(found), "--timeout", "3000"]);
+    let run = bcap(&["board", "find", &board(found), "--timeout", "1000"]);
     let line = "192.168.0.9:5006  02:00:00:bc:a9:03  w5500-evb-pico 0.1.0  cell-7\n";
     assert_eq!((run.out.as_str(), run.err.as_str(), run.code), (line, "", 0));
     let nameless = Found { name: "", version: "\u{1b}[31m", ..found };
-    let run = bcap(&["board", "find", &board(nameless), "--timeout", "3000", "--json"]);
+    let run = bcap(&["board", "find", &board(nameless), "--timeout", "1000", "--json"]);
     assert!(
         run.code == 0 && run.out.starts_with(r#"{"address":"192.168.0.9","board":"w5500-evb-pico","mac":"#),
         "{run:?}"
     );
-    let run = bcap(&["board", "find", &board(nameless), "--timeout", "3000"]);
+    let run = bcap(&["board", "find", &board(nameless), "--timeout", "1000"]);
     assert!(run.code == 0 && !run.out.contains('\u{1b}'), "a board cannot control the terminal: {run:?}");
 
     let silent = UdpSocket::bind("127.0.0.1:0").unwrap();

@@ -80,9 +80,14 @@ fn only_changes_are_written_and_a_signal_completes_the_file() {
     let mut watch = robot.spawn(&[&["watch", "I1", "--interval", "5", "--changed"], &files[..]].concat());
     // the table shows the read values
     let has_read = |value: &str| fs::read_to_string(&table).is_ok_and(|rows| rows.ends_with(value));
-    while !has_read(",0\n") {}
+    let wait_for = |value: &str| {
+        while !has_read(value) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    };
+    wait_for(",0\n");
     assert_eq!(robot.run(&["put", "I1", "7"]).code, 0);
-    while !has_read(",7\n") {}
+    wait_for(",7\n");
     // it is in the file a second later, although the value does not change again
     let is_written = || fs::read(&path).unwrap().windows(11).any(|bytes| bytes == br#"{"value":7}"#);
     for _ in 0..300 {

@@ -9,6 +9,7 @@ use std::io::{BufRead, BufReader};
 use std::panic::{catch_unwind, resume_unwind};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::thread;
 use std::time::Duration;
 
 use crate::common;
@@ -43,6 +44,7 @@ impl Stream {
             if stream.child.try_wait().unwrap().is_some() {
                 panic!("the stream has ended before it ran: {:?}", stream.end());
             }
+            thread::sleep(Duration::from_millis(20));
         }
         stream
     }

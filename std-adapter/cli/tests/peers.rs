@@ -340,9 +340,9 @@ fn keeps_alive(at_a_time: usize) -> [String; 2] {
 #[test]
 fn the_timeout_bounds_the_whole_command_while_the_server_keeps_it_alive() {
     for address in keeps_alive(1) {
-        let run = bcap(&["get", "I1", "--timeout", "200", "--robot", &address]);
+        let run = bcap(&["get", "I1", "--timeout", "1000", "--robot", &address]);
         assert_eq!((run.out.as_str(), run.code), ("", 4), "{run:?}");
-        let limit = "did not answer Service_Start within the command's time limit of 200 ms (--timeout)";
+        let limit = "did not answer Service_Start within the command's time limit of 1000 ms (--timeout)";
         assert!(run.err.contains(limit) && run.err.contains("allow more time"), "{}", run.err);
     }
 }

@@ -159,13 +159,12 @@ fn a_refused_step_is_named_and_nothing_stays_on() {
 #[test]
 fn a_signal_switches_the_motor_off_and_gives_the_arm_back() {
     for signal in [Signal::INT, Signal::TERM] {
-        // the process that sends the signal needs its time too
-        let robot = Robot::with(Config { motor_on_delay: Duration::from_secs(5), ..Config::new(Profile::Rc8) });
+        let robot = Robot::with(Config { motor_on_delay: Duration::from_secs(2), ..Config::new(Profile::Rc8) });
         raise(&robot, REACH);
         let args = ["recover", "--yes", "--keep", "--robot", &robot.tcp];
         let child = command(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         while robot.served.application().arm_owner().is_none() {
-            thread::yield_now();
+            thread::sleep(Duration::from_millis(1));
         }
         send(signal, &child);
         let run = Run::from(child.wait_with_output().unwrap());
@@ -179,14 +178,13 @@ fn a_signal_switches_the_motor_off_and_gives_the_arm_back() {
 #[test]
 fn a_motor_that_an_interrupted_recovery_leaves_on_is_not_called_off() {
     let robot = robot(Profile::Rc8);
-    // the process that sends the signal needs its time too
-    let scenario = "[[fault]]\nwhen = { call = 1, of = \"Motor\" }\nthen = { delay_ms = 5000 }\n\
+    let scenario = "[[fault]]\nwhen = { call = 1, of = \"Motor\" }\nthen = { delay_ms = 2000 }\n\
                     [[fault]]\nwhen = { call = 2, to = 5, of = \"Motor\" }\nthen = { refuse = \"E_FAIL\" }\n";
     robot.served.application().play(Scenario::parse(scenario).unwrap());
     let args = ["recover", "--yes", "--robot", &robot.tcp];
     let child = command(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     while !state(&robot).1 {
-        thread::yield_now();
+        thread::sleep(Duration::from_millis(1));
     }
     send(Signal::INT, &child);
     let run = Run::from(child.wait_with_output().unwrap());

@@ -20,8 +20,8 @@ use bcap_tests::served::Served;
 /// A motion that takes more than ten seconds.
 const SLOW: [&str; 4] = ["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"];
 const INTERRUPTED: &str = "interrupted: the robot was halted, and the arm was given back";
-/// The delay of an answer before which a signal arrives, whose process has to start.
-const LATE: u32 = 3000;
+/// The delay of an answer before which a signal arrives.
+const LATE: u32 = 1500;
 
 /// Returns the state of a process: `T` is suspended.
 fn state(child: &Child) -> char {

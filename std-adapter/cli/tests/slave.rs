@@ -520,7 +520,7 @@ fn halt_stops_a_motion_of_another_connection() {
         let sim = controller();
         let halt = || bcap(&["halt", "--robot", &tcp(&sim)]);
         assert_eq!((halt().code, halt().out.as_str()), (0, "nothing was moving\n"));
-        let ramp = ramp("ramp3.csv", 60);
+        let ramp = ramp("ramp5.csv", 60);
         let mut child = play(&sim, &ramp);
         await_speed(&sim, &mut child, 5.0);
         let halted = halt();

@@ -93,7 +93,9 @@ fn tab_completes_and_the_history_is_kept() {
     terminal.wait_for("I7 = 1234");
     terminal.enter("exit");
     let history = folder.path().join("history");
-    while !std::fs::read_to_string(&history).is_ok_and(|lines| lines.contains("put I7 1234")) {}
+    while !std::fs::read_to_string(&history).is_ok_and(|lines| lines.contains("put I7 1234")) {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
     drop(terminal);
     let terminal = Terminal::start((80, 24), &args, folder.path()).unwrap();
     terminal.wait_for("RC8 auto ok>");

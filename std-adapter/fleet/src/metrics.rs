@@ -56,7 +56,7 @@ impl Metrics {
         }
     }
 
-    /// Counts lost readings: from a full queue, or not kept by the backlog.
+    /// Counts lost readings: dropped from a full queue or by the backlog.
     pub(crate) fn lose(&self, readings: u64) {
         self.dropped.fetch_add(readings, Ordering::Relaxed);
     }

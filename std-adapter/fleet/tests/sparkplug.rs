@@ -266,7 +266,9 @@ async fn a_node_is_born_after_the_broker_has_answered_its_subscription() {
     let (kind, body) = packet(&mut stream).await;
     assert_eq!((kind, &body[4..body.len() - 1]), (0x82, &b"spBv1.0/plant/NCMD/edge1"[..]));
     // the node has readings to publish
-    while fleet.metric("bcap_readings_total{controller=\"cell1\"}").await < 3 {}
+    while fleet.metric("bcap_readings_total{controller=\"cell1\"}").await < 3 {
+        tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+    }
     let early = stream.try_read(&mut [0]).unwrap_err();
     assert_eq!(early.kind(), std::io::ErrorKind::WouldBlock, "a message before the answer");
     stream.write_all(&[0x90, 3, body[0], body[1], 1]).await.unwrap();

@@ -310,15 +310,17 @@ async fn what_a_killed_process_has_on_disk_is_sent_by_the_next_one() {
     host.json(VALUE, is_new).await;
     broker.stop();
     let before = last.load(Ordering::SeqCst);
-    while last.load(Ordering::SeqCst) < before + 100 {
-        tokio::time::sleep(Duration::from_millis(1)).await;
+    let on_disk = || -> Vec<String> {
+        let files = std::fs::read_dir(&path).unwrap();
+        let texts = files.map(|entry| std::fs::read_to_string(entry.unwrap().path()).unwrap());
+        texts.flat_map(|text| text.lines().map(str::to_owned).collect::<Vec<_>>()).collect()
+    };
+    while on_disk().len() < 100 {
+        tokio::time::sleep(Duration::from_millis(10)).await;
     }
     drop(first);
     let killed = last.load(Ordering::SeqCst);
-    let lines: Vec<Value> = (std::fs::read_dir(&path).unwrap())
-        .map(|entry| std::fs::read_to_string(entry.unwrap().path()).unwrap())
-        .flat_map(|text| text.lines().map(|line| serde_json::from_str(line).unwrap()).collect::<Vec<_>>())
-        .collect();
+    let lines: Vec<Value> = on_disk().iter().map(|line| serde_json::from_str(line).unwrap()).collect();
     let mut missing: HashSet<_> = lines.iter().map(|line| line["id"].as_u64().unwrap()).collect();
     println!("{} readings on disk, {} since the end of the broker", missing.len(), killed - before);
     assert!(missing.len() >= 90);

@@ -106,8 +106,7 @@ impl Tap {
         Some(outcome)
     }
 
-    /// Returns the number of recordings that were started. If a session was opened before a recording, the recording lacks its
-    /// beginning.
+    /// Returns the number of recordings that were started. A recording lacks the beginning of a session that was opened before it.
     #[must_use]
     pub fn count(&self) -> u64 {
         self.lock().count

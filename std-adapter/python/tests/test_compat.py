@@ -250,6 +250,6 @@ except KeyboardInterrupt:
     with moved_by_a_thread(sim, meanwhile) as program:
         assert program.stdout and program.stdout.readline() == "interrupted, and the thread had NoReply\n"
         # the arm is free when the controller has detected the end of the connection
-        assert not (sim.moving or sim.motor_on) and 0 < sim.joints[0] < 10
+        assert not (sim.moving or sim.motor_on) and 0 < sim.joints[0] < 45
         assert eventually(lambda: at_rest(sim))
     assert program.returncode == 0

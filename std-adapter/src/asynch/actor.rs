@@ -61,7 +61,7 @@ pub(super) struct MoveRequest {
     pub(super) motion: Option<Move>,
     pub(super) until: Until,
     pub(super) reply: oneshot::Sender<Result<MotionQueue, Error>>,
-    /// Its place in the queue, returned at its turn.
+    /// Its slot in the queue, released at its turn; `None` if it needs no slot.
     pub(super) permit: Option<OwnedSemaphorePermit>,
 }
 

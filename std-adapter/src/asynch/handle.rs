@@ -95,8 +95,8 @@ impl Handle {
         self.requests.send(request).map_err(|_| Error::Closed)
     }
 
-    /// Waits for a place in the queue.
-    pub(super) async fn place(&self) -> Option<OwnedSemaphorePermit> {
+    /// Waits for a slot in the queue.
+    pub(super) async fn slot(&self) -> Option<OwnedSemaphorePermit> {
         // nothing closes the semaphore
         Arc::clone(&self.queue).acquire_owned().await.ok()
     }
@@ -107,7 +107,7 @@ impl Handle {
         F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
         T: Send + 'static,
     {
-        self.carry_out(work, self.place().await, false).await
+        self.carry_out(work, self.slot().await, false).await
     }
 
     /// Runs a function of the session in the task, even if the caller has gone. It does not wait for a full queue, and no time
@@ -149,7 +149,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn calls_given_up_before_their_turn_keep_their_place_in_the_queue() {
+    fn calls_given_up_before_their_turn_keep_their_slot_in_the_queue() {
         let (requests, mut waiting) = mpsc::unbounded_channel();
         let handle = Handle {
             requests,

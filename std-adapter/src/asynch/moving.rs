@@ -91,7 +91,8 @@ pub(super) async fn run_queue(
     motion: Option<Move>,
     until: Until,
 ) -> Result<MotionQueue, Error> {
-    let permit = handle.place().await;
+    // the robot moves already: its time limit does not wait for other callers
+    let permit = if queue.is_new() { handle.slot().await } else { None };
     let (reply, ended) = oneshot::channel();
     handle.send(Request::Move(Box::new(MoveRequest { arm, queue, motion, until, reply, permit })))?;
     ended.await.map_err(|_| Error::Closed)?

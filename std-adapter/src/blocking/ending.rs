@@ -21,8 +21,6 @@ const CONNECT: Duration = Duration::from_secs(2);
 
 /// Runs the end of a session within [`LIMIT`], or within its deadline.
 pub(crate) fn within_limit<T>(session: &mut Session<Blocking>, end: impl FnOnce(&mut Session<Blocking>) -> T) -> T {
-    // a panic of the caller's code may have left the time limit of its calls
-    session.set_limit(None);
     let deadline = session.connection().transport().deadline();
     let limit = SendTransport::now(session.connection().transport()) + LIMIT;
     session.connection().transport().set_deadline(Some(deadline.unwrap_or(limit)));

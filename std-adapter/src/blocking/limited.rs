@@ -29,16 +29,22 @@ impl<'a> Limited<'a> {
 
     /// Returns the session, for calls without the time limit.
     pub(super) fn session(&mut self) -> &mut Session<Blocking> {
-        // a panic of the caller's encoder or conversion leaves the limit of the call before
-        self.session.set_limit(None);
         self.session
     }
 
     /// Runs calls within the time limit.
     pub(super) fn run<T>(&mut self, calls: impl AsyncFnOnce(&mut Session<Blocking>) -> T) -> T {
         self.session.set_limit(self.limit);
-        let ended = ready(calls(self.session));
-        self.session.set_limit(None);
-        ended
+        let reset = &mut Reset(self.session);
+        ready(calls(reset.0))
+    }
+}
+
+/// Removes the time limit at the end of the calls, even if the caller's encoder or conversion panics.
+struct Reset<'a>(&'a mut Session<Blocking>);
+
+impl Drop for Reset<'_> {
+    fn drop(&mut self) {
+        self.0.set_limit(None);
     }
 }

@@ -1,5 +1,5 @@
 // The screen of a jog: a robot moves by short steps while a button is held. The page answers each pulse of the server with a
-// heartbeat; the server halts the robot without one. The jog ends immediately when the user leaves the page.
+// heartbeat; the server halts the robot without one. The jog ends immediately when the page is hidden, loses the focus or is left.
 
 import { ask, byId, make, notify, notifyFailure, setText, withUnit } from "./dom.js";
 import { beat, order } from "./net.js";

@@ -1,4 +1,4 @@
-// The connection to `bcap web`: live sections, orders with answers, and HALT, over a separate connection.
+// The connection to `bcap web`: live sections and orders with answers. HALT uses a separate connection.
 
 const token = takeToken();
 const handlers = new Map();

@@ -130,8 +130,9 @@ impl Robot {
         }
     }
 
-    /// Halts the robot for a user who has pressed HALT, and ends all orders, motions and restores of pages. A call that began
-    /// earlier may reach the controller after the halt, so the robot is halted again until such calls have ended.
+    /// Halts the robot for a user who has pressed HALT, revokes the orders that have not begun, and ends a jog, a recovery and a
+    /// restore. A call that began earlier may reach the controller after the halt, so the robot is halted again until such calls
+    /// have ended.
     pub(crate) async fn halt(&self) -> Outcome {
         self.revoke();
         self.end_motion("HALT was pressed");

@@ -91,7 +91,7 @@ fn a_motor_that_a_stopped_recovery_leaves_on_is_not_called_off() {
     for (refused, is_on, more) in [(5, true, unknown), (2, false, "")] {
         let sim = Sim::start();
         sim.lock().play(scenario(&format!(
-            "[[fault]]\nwhen = {{ call = 1, of = \"Motor\" }}\nthen = {{ delay_ms = 1000 }}\n\
+            "[[fault]]\nwhen = {{ call = 1, of = \"Motor\" }}\nthen = {{ delay_ms = 2000 }}\n\
              [[fault]]\nwhen = {{ call = 2, to = {refused}, of = \"Motor\" }}\nthen = {{ refuse = \"E_FAIL\" }}\n",
         )));
         let (recovery, access) = (Recovery::default(), access(sim.address()));
@@ -114,7 +114,7 @@ fn a_motor_that_a_stopped_recovery_leaves_on_is_not_called_off() {
 fn a_jog_that_ends_during_take_arm_leaves_the_motor_off() {
     let sim = Sim::start();
     sim.lock().play(scenario(
-        "[[fault]]\nwhen = { call = 1, of = \"TakeArm\" }\nthen = { delay_ms = 500 }\n\
+        "[[fault]]\nwhen = { call = 1, of = \"TakeArm\" }\nthen = { delay_ms = 1000 }\n\
          [[fault]]\nwhen = { every = 1, of = \"Motor\" }\nthen = { refuse = \"E_FAIL\" }\n",
     ));
     let (grip, access) = (Grip::default(), access(sim.address()));

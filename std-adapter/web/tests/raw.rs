@@ -10,6 +10,7 @@ use bcap_sim::pace::Paced;
 use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::{Settings, blocking};
 use serde_json::{Value, json};
+use tokio_tungstenite::tungstenite::Message;
 
 use crate::support::{Page, Sim, Web, serve_paced};
 
@@ -289,8 +290,9 @@ fn a_call_that_waits_behind_another_one_is_not_made_after_the_end_of_that() {
         let arguments = ["robot", "8,ClearError", "0,"];
         let fields = fields(&mut page, "Robot_Execute", &arguments);
         let waits = page.send("call", fields);
-        // it is received first
-        std::thread::sleep(std::time::Duration::from_millis(200));
+        // it is received first: the server reads messages in order
+        page.socket.send(Message::Ping(Vec::new().into())).unwrap();
+        while !page.socket.read().unwrap().is_pong() {}
         // the page answers pulses during the halt
         let answer = std::thread::scope(|scope| {
             let halt = is_halted.then(|| scope.spawn(|| web.halt(0)));

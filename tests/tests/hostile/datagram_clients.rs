@@ -147,8 +147,9 @@ fn endless_keep_alives_over_udp(_: &mut Target) {
             let mut buffer = [0; 600];
             let (length, from) = socket.recv_from(&mut buffer).unwrap();
             let serial = serial_of(&buffer[..length]);
-            // until the client's socket is closed, which the loopback reports
-            while socket.send_to(&reply_frame(serial, HResult::S_EXECUTING, vec![]), from).is_ok() {
+            // until the client's socket is closed, which a connected socket reports
+            socket.connect(from).unwrap();
+            while socket.send(&reply_frame(serial, HResult::S_EXECUTING, vec![])).is_ok() {
                 std::thread::sleep(std::time::Duration::from_millis(10));
             }
         });

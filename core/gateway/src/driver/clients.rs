@@ -18,7 +18,7 @@ const FULL: &[u8] = b"-2147481333\r";
 /// do not allow it to connect, or the gateway stops.
 ///
 /// A listener calls [`SharedGateway::admits`] first, to reset the connection of a client that the rules do not allow. A caller
-/// that serves a line again after `None` should wait before.
+/// that serves a line again after `None` should wait first.
 ///
 /// When all slots are in use, it first ends the session of the client that has been idle for the longest time, at least
 /// [`Limits::evict_after`], preferably a client of the same host.

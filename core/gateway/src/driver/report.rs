@@ -52,7 +52,8 @@ pub enum Report<'a, A, C, E> {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Denial {
-    /// The rules do not allow its address to connect. Its connection is reset.
+    /// The rules do not allow its address to connect. A listener that calls [`admits`](super::SharedGateway::admits) resets its
+    /// connection; a serial line gets no answer.
     Address,
     /// All slots are in use, by clients that are not idle. Its first line is answered with E_MAX_CONNECT, its first request of
     /// Modbus with the exception "server device busy", and its connection is closed.

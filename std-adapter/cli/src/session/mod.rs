@@ -288,8 +288,8 @@ impl Session {
         }
     }
 
-    /// Removes the time limit of the command for a motion, which has a separate limit: after the end of the connection the
-    /// motion could not be halted.
+    /// Removes the time limit of the command for a motion, which has a separate limit. Otherwise the command's limit could end
+    /// the connection during the motion, and nothing could halt it.
     pub(crate) fn suspend_budget(&mut self) {
         if let Some(Open { controller, .. }) = &mut self.open {
             controller.set_deadline(None);

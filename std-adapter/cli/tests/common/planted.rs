@@ -197,6 +197,10 @@ impl Device {
                     if let Ok(listener) = TcpListener::bind(self.ports[0]) {
                         break listener;
                     }
+                    if self.is_over.load(Ordering::SeqCst) {
+                        return;
+                    }
+                    thread::sleep(Duration::from_millis(5));
                 };
                 self.leaked.store(0, Ordering::SeqCst);
                 self.has_crashed.store(false, Ordering::SeqCst);

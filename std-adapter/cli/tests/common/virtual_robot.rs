@@ -1,6 +1,7 @@
 //! A `bcap sim` process with clients.
 
 use std::process::{Child, Command, Stdio};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use super::running::Running;
@@ -52,12 +53,15 @@ impl Virtual {
         let since = Instant::now();
         while self.run(&["get", "@BUSY_STATUS"]).out != "@BUSY_STATUS = true\n" {
             assert!(since.elapsed() < Duration::from_secs(60), "the robot does not move");
+            thread::sleep(Duration::from_millis(20));
         }
     }
 
     /// Waits until the robot rests, as another client sees it.
     pub(crate) fn wait_for_rest(&self) {
-        while self.run(&["get", "@BUSY_STATUS"]).out != "@BUSY_STATUS = false\n" {}
+        while self.run(&["get", "@BUSY_STATUS"]).out != "@BUSY_STATUS = false\n" {
+            thread::sleep(Duration::from_millis(20));
+        }
     }
 
     /// Asserts that the robot rests with its motor off, and that another client can take the arm.

@@ -8,8 +8,8 @@
 //! ```
 //!
 //! A turn of J6 is divided into intervals, and interval arithmetic encloses g and its slope in each. An interval whose values
-//! exclude 0 has no solution. One whose slopes exclude 0 has at most one, and then g changes its sign there. All others are
-//! halved. So no solution is missed, even where two of them nearly coincide. At the ends of the arm's reach the slope is
+//! exclude 0 has no solution. An interval whose slopes exclude 0 has at most one solution, where g changes its sign. All other
+//! intervals are halved. So no solution is missed, even where two of them nearly coincide. At the ends of the arm's reach the slope is
 //! infinite; there the last interval and its ends are tried.
 
 use std::collections::VecDeque;
@@ -22,7 +22,8 @@ use super::vertical::{BELOW, LEFTY, NONFLIP, Vertical};
 /// A value of g below this is rounding.
 const EXACT: f64 = 1e-10;
 
-/// The same at the ends of the reach, where rounding of the wrist centre changes the angle of the elbow by 1e-8.
+/// The largest g of a solution of the search: at the ends of the reach, rounding of the wrist centre changes the angle of the
+/// elbow by 1e-8.
 const ROUNDED: f64 = 1e-7;
 
 /// J6 is searched so far to either side: a little more than half a turn, so that rounding leaves no gap.
@@ -159,7 +160,7 @@ impl Search<'_> {
         }
     }
 
-    /// Returns the solution in an interval in which g has no extremum.
+    /// Returns a solution in an interval if g has different signs at its ends.
     fn crossing(&self, Interval { mut low, mut high }: Interval) -> Option<Candidate> {
         let is_negative = |j6: f64| self.place(j6).map(|place| place.error() < 0.0).ok();
         let before = is_negative(low)?;

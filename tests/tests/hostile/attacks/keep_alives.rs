@@ -29,8 +29,9 @@ pub(super) fn a_flood_of_keep_alives_costs_little(_: &mut Target) {
             let mut buffer = [0; 600];
             let (count, client) = socket.recv_from(&mut buffer).unwrap();
             let keep_alive = reply_frame(serial_of(&buffer[..count]), HResult::S_EXECUTING, vec![]);
-            // until the client's socket is closed, which the loopback reports
-            while socket.send_to(&keep_alive, client).is_ok() {}
+            // until the client's socket is closed, which a connected socket reports
+            socket.connect(client).unwrap();
+            while socket.send(&keep_alive).is_ok() {}
         });
         address
     };

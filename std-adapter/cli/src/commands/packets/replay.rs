@@ -25,7 +25,7 @@ use crate::session::{Session, traffic};
 /// printed with the recorded one, and the exit code is then 1. A call that had no reply is made, but not compared. At most 1024
 /// connections are replayed. When the output is closed, such as by `head`, no more calls are made. The end of a connection and
 /// Ctrl-C halt the robot, switch the motor off and give the arm back if the replayed calls require that. If the connection is
-/// lost, the command does this over a new connection. If this failed, the command says so.
+/// lost, the command does this over a new connection. If this fails, the command says so.
 ///
 /// Functions and commands that may move the robot or write must be allowed by name (`bcap call --list --effects`). Without
 /// that nothing is sent.

@@ -138,8 +138,8 @@ fn ask(args: &Recover, session: &mut Session, state: &Examination, steps: &[Reco
     Ok(has_errors)
 }
 
-/// Performs the steps, and reports each. A signal ends it after a step, and halts the robot once the arm is taken. The second
-/// value is false if a step could not be undone and no later action undoes it.
+/// Performs the steps, and reports each. A signal ends it after a step; if the arm is taken, the signal also halts the robot.
+/// The second value is false if a step could not be undone and no later action undoes it.
 fn perform(
     session: &mut Session,
     config: RecoveryConfig,
