@@ -1,5 +1,7 @@
 //! `Controller` for tokio and its objects against the virtual controller, over real sockets and in memory.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use bcap_core::bcap::call;
@@ -260,12 +262,17 @@ async fn the_time_limit_of_a_running_motion_does_not_wait_for_a_full_queue() {
     let sim = simulated();
     let (cell, mut arm) = ready(&sim).await;
     let moving = arm.start(&far(), Duration::from_millis(500)).await.unwrap();
-    let mut reads = JoinSet::new();
+    let (mut reads, begun) = (JoinSet::new(), Arc::new(AtomicUsize::new(0)));
     for _ in 0..READS {
-        let cell = cell.clone();
-        reads.spawn(async move { cell.read::<i32>("I1").await });
+        let (cell, begun) = (cell.clone(), Arc::clone(&begun));
+        reads.spawn(async move {
+            begun.fetch_add(1, Ordering::Relaxed);
+            cell.read::<i32>("I1").await
+        });
     }
-    tokio::task::yield_now().await;
+    while begun.load(Ordering::Relaxed) < READS {
+        tokio::task::yield_now().await;
+    }
     assert_eq!(moving.wait().await.unwrap(), Motion::TimedOut);
     while reads.try_join_next().is_some() {}
     assert!(!reads.is_empty(), "all {READS} reads were made before");
