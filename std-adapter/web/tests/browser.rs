@@ -3,6 +3,7 @@
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind;
@@ -523,10 +524,10 @@ fn a_button_is_held_and_what_takes_the_page_away_ends_the_jog() {
         "document.body.dispatchEvent(new PointerEvent('pointerdown', { pointerId: 7, bubbles: true }))",
         "document.querySelector('[data-id=cell]').click(); document.querySelector('[data-id=jog]').click()",
     ];
-    let mut moved = 0;
+    let (mut moved, last) = (0, Instant::now() + Duration::from_secs(180));
     // each end once, and again until an attempt has moved the robot
-    for (n, end) in ends.iter().cycle().take(20).enumerate() {
-        if n >= ends.len() && moved > 0 {
+    for (n, end) in ends.iter().cycle().enumerate() {
+        if n >= ends.len() && (moved > 0 || Instant::now() > last) {
             break;
         }
         begin(&mut browser);
