@@ -194,8 +194,8 @@ fn a_user_of_firefox_reads_writes_jogs_and_halts() {
     firefox.until_text("#state", "ready, motor off");
 }
 
-/// A held button moves the robot, and a window without the focus ends it. A busy machine may lose the heartbeat before, as long
-/// as other tests run too.
+/// A held button moves the robot, and a window without the focus ends it. While other tests run, a busy machine may lose the
+/// heartbeat before.
 fn jog(sim: &Sim, web: &Web, firefox: &mut Firefox) {
     let (mut moved, mut notices) = (false, Vec::new());
     let last = Instant::now() + Duration::from_secs(180);
