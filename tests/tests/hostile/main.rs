@@ -49,10 +49,11 @@ macro_rules! cases {
 }
 pub(crate) use cases;
 
-const GROUPS: [&[Case]; 10] = [
+const GROUPS: [&[Case]; 11] = [
     frames::CASES,
     arguments::CASES,
     connections::CASES,
+    connections::UNFINISHED,
     datagrams::CASES,
     lines::CASES,
     serial::CASES,

@@ -163,10 +163,28 @@ pub(crate) enum Kind {
     Tokio,
 }
 
-/// Makes `calls` calls over TCP, with each kind of client to a separate server. Returns the outcomes, which are the
-/// same for all kinds.
-pub(crate) fn calls(options: &Options, calls: usize, mut server: impl FnMut() -> SocketAddr) -> Vec<Outcome> {
-    let [blocking, tokio] = [Kind::Blocking, Kind::Tokio].map(|kind| call_tcp(kind, server(), options, calls));
+/// Makes `calls` calls over TCP, with each kind of client at the same time to a separate server. Returns the outcomes,
+/// which are the same for all kinds.
+pub(crate) fn calls(options: &Options, calls: usize, server: impl FnMut() -> SocketAddr) -> Vec<Outcome> {
+    with_each_kind(server, |kind, address| call_tcp(kind, address, options, calls))
+}
+
+/// The same over UDP.
+pub(crate) fn calls_udp(options: &Options, calls: usize, server: impl FnMut() -> SocketAddr) -> Vec<Outcome> {
+    with_each_kind(server, |kind, address| call_udp(kind, address, options, calls))
+}
+
+fn with_each_kind(
+    mut server: impl FnMut() -> SocketAddr,
+    call: impl Fn(Kind, SocketAddr) -> Vec<Outcome> + Sync,
+) -> Vec<Outcome> {
+    let [blocking, tokio] = std::thread::scope(|scope| {
+        let call = &call;
+        [Kind::Blocking, Kind::Tokio]
+            .map(|kind| (kind, server()))
+            .map(|(kind, address)| scope.spawn(move || call(kind, address)))
+            .map(|calls| calls.join().expect("the client does not panic"))
+    });
     assert_eq!(blocking, tokio, "both kinds of clients");
     blocking
 }
@@ -189,21 +207,22 @@ fn call_tcp(kind: Kind, address: SocketAddr, options: &Options, calls: usize) ->
     }
 }
 
-/// The same over UDP.
-pub(crate) fn calls_udp(options: &Options, calls: usize, mut server: impl FnMut() -> SocketAddr) -> Vec<Outcome> {
+fn call_udp(kind: Kind, address: SocketAddr, options: &Options, calls: usize) -> Vec<Outcome> {
     let call = || call::variable_get_value(VARIABLE);
-    let mut client = blocking::connect_udp(server(), options).unwrap();
-    let blocking: Vec<Outcome> = (0..calls).map(|_| client.call(call()).into()).collect();
-    let tokio = runtime().block_on(async {
-        let mut client = asynch::connect_udp(server(), options).await.unwrap();
-        let mut outcomes: Vec<Outcome> = Vec::new();
-        for _ in 0..calls {
-            outcomes.push(client.call(call()).await.into());
+    match kind {
+        Kind::Blocking => {
+            let mut client = blocking::connect_udp(address, options).unwrap();
+            (0..calls).map(|_| client.call(call()).into()).collect()
         }
-        outcomes
-    });
-    assert_eq!(blocking, tokio, "both kinds of clients");
-    blocking
+        Kind::Tokio => runtime().block_on(async {
+            let mut client = asynch::connect_udp(address, options).await.unwrap();
+            let mut outcomes = Vec::new();
+            for _ in 0..calls {
+                outcomes.push(client.call(call()).await.into());
+            }
+            outcomes
+        }),
+    }
 }
 
 pub(crate) fn runtime() -> tokio::runtime::Runtime {
