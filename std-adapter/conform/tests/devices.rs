@@ -17,7 +17,7 @@ use bcap_tests::served::Served;
 /// `absent` are skipped.
 fn passes(profile: Profile, link: Link, absent: &[&str]) {
     // an RC8A takes more than a second
-    let config = Config { motor_on_delay: Duration::from_millis(300), ..Config::new(profile) };
+    let config = Config { motor_on_delay: Duration::from_millis(50), ..Config::new(profile) };
     let served = Served::of(Controller::new(config), Limits::default());
     let mut options = options(&served, link, Level::Motion);
     options.provider = provider(profile);

@@ -402,7 +402,7 @@ fn every_planted_fault_is_caught_by_its_case() {
     // a judge is idle most of the time
     let missed: Vec<_> = thread::scope(|scope| {
         let group = |faults: &'static [Fault]| scope.spawn(move || faults.iter().map(found).collect::<Vec<_>>());
-        let groups: Vec<_> = FAULTS.chunks(6).map(group).collect();
+        let groups: Vec<_> = FAULTS.chunks(3).map(group).collect();
         groups.into_iter().flat_map(|group| group.join().unwrap()).filter(|found| found.2 != Verdict::Fail).collect()
     });
     assert_eq!(missed, []);
