@@ -30,7 +30,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         connections_that_come_and_go
 };
 
-/// Cases that wait until the server gives up on the rest of a request.
+/// Cases that last at least as long as the time limit of a request.
 pub(crate) const UNFINISHED: &[Case] = crate::cases! {
     connections:
         one_byte_then_silence

@@ -7,7 +7,7 @@ use std::time::Duration;
 use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::bcap::client::{ClientError, Config, Timing};
 use bcap_core::hresult::HResult;
-use bcap_core::io::CallError;
+use bcap_core::io::{self, CallError};
 use bcap_core::variant::Variant;
 use bcap_std::{Options, asynch, blocking};
 use bcap_testkit::frame::field;
@@ -156,73 +156,56 @@ pub(crate) fn right(serial: u16) -> Vec<u8> {
 /// How a right reply is read.
 pub(crate) const RIGHT: Outcome = Outcome::Value(Value::I4(42));
 
-/// The kinds of clients.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Kind {
-    Blocking,
-    Tokio,
-}
-
-/// Makes `calls` calls over TCP, with each kind of client at the same time to a separate server. Returns the outcomes,
-/// which are the same for all kinds.
+/// Makes `calls` calls over TCP with the blocking and the tokio client at the same time, each to a separate server. Returns
+/// the outcomes, which are the same for both.
 pub(crate) fn calls(options: &Options, calls: usize, server: impl FnMut() -> SocketAddr) -> Vec<Outcome> {
-    with_each_kind(server, |kind, address| call_tcp(kind, address, options, calls))
+    with_both(
+        server,
+        |address| outcomes(blocking::connect_tcp(address, options).unwrap(), calls),
+        async |address| outcomes_async(asynch::connect_tcp(address, options).await.unwrap(), calls).await,
+    )
 }
 
 /// The same over UDP.
 pub(crate) fn calls_udp(options: &Options, calls: usize, server: impl FnMut() -> SocketAddr) -> Vec<Outcome> {
-    with_each_kind(server, |kind, address| call_udp(kind, address, options, calls))
+    with_both(
+        server,
+        |address| outcomes(blocking::connect_udp(address, options).unwrap(), calls),
+        async |address| outcomes_async(asynch::connect_udp(address, options).await.unwrap(), calls).await,
+    )
 }
 
-fn with_each_kind(
+fn with_both(
     mut server: impl FnMut() -> SocketAddr,
-    call: impl Fn(Kind, SocketAddr) -> Vec<Outcome> + Sync,
+    blocking: impl FnOnce(SocketAddr) -> Vec<Outcome> + Send,
+    tokio: impl AsyncFnOnce(SocketAddr) -> Vec<Outcome>,
 ) -> Vec<Outcome> {
-    let [blocking, tokio] = std::thread::scope(|scope| {
-        let call = &call;
-        [Kind::Blocking, Kind::Tokio]
-            .map(|kind| (kind, server()))
-            .map(|(kind, address)| scope.spawn(move || call(kind, address)))
-            .map(|calls| calls.join().expect("the client does not panic"))
+    let [first, second] = [server(), server()];
+    let (blocking, tokio) = std::thread::scope(|scope| {
+        let blocking = scope.spawn(move || blocking(first));
+        let tokio = runtime().block_on(tokio(second));
+        (blocking.join().expect("the blocking client does not panic"), tokio)
     });
-    assert_eq!(blocking, tokio, "both kinds of clients");
+    assert_eq!(blocking, tokio, "the blocking and the tokio client");
     blocking
 }
 
-fn call_tcp(kind: Kind, address: SocketAddr, options: &Options, calls: usize) -> Vec<Outcome> {
-    let call = || call::variable_get_value(VARIABLE);
-    match kind {
-        Kind::Blocking => {
-            let mut client = blocking::connect_tcp(address, options).unwrap();
-            (0..calls).map(|_| client.call(call()).into()).collect()
-        }
-        Kind::Tokio => runtime().block_on(async {
-            let mut client = asynch::connect_tcp(address, options).await.unwrap();
-            let mut outcomes = Vec::new();
-            for _ in 0..calls {
-                outcomes.push(client.call(call()).await.into());
-            }
-            outcomes
-        }),
-    }
+fn outcomes<X>(mut client: io::blocking::Connection<X, Vec<u8>>, calls: usize) -> Vec<Outcome>
+where
+    X: io::blocking::Transport<Error = std::io::Error>,
+{
+    (0..calls).map(|_| client.call(call::variable_get_value(VARIABLE)).into()).collect()
 }
 
-fn call_udp(kind: Kind, address: SocketAddr, options: &Options, calls: usize) -> Vec<Outcome> {
-    let call = || call::variable_get_value(VARIABLE);
-    match kind {
-        Kind::Blocking => {
-            let mut client = blocking::connect_udp(address, options).unwrap();
-            (0..calls).map(|_| client.call(call()).into()).collect()
-        }
-        Kind::Tokio => runtime().block_on(async {
-            let mut client = asynch::connect_udp(address, options).await.unwrap();
-            let mut outcomes = Vec::new();
-            for _ in 0..calls {
-                outcomes.push(client.call(call()).await.into());
-            }
-            outcomes
-        }),
+async fn outcomes_async<X>(mut client: io::asynch::Connection<X, Vec<u8>>, calls: usize) -> Vec<Outcome>
+where
+    X: io::asynch::Transport<Error = std::io::Error>,
+{
+    let mut outcomes = Vec::new();
+    for _ in 0..calls {
+        outcomes.push(client.call(call::variable_get_value(VARIABLE)).await.into());
     }
+    outcomes
 }
 
 pub(crate) fn runtime() -> tokio::runtime::Runtime {
