@@ -127,7 +127,7 @@ impl Small {
         if !self.is("serials-ascend") {
             self.serial = serial.wrapping_add(1);
         }
-        // the judge may have closed the connection already: then the reply is missing too
+        // fails if the judge has closed the connection; the missing reply then ends the call
         let _ = self.wire.send(&bytes);
         serial
     }
